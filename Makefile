@@ -56,7 +56,7 @@ help:
 	@echo 'make lint    run ruff and mypy --strict; check rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make robots  build the simulated robots of the examples: a rover and a gripper'
-	@echo 'make wheels  build wheels and sdists into dist/; make release-check installs and tries them'
+	@echo 'make wheels  build wheels and sdists into dist/; make release-check installs and tries them (ARGS=--quick)'
 	@echo 'make setup   do only the set-up, which the other targets do when needed'
 	@echo 'make format  reformat the Python code'
 	@echo 'make lock    resolve requirements*.in into requirements*.lock'
@@ -126,7 +126,7 @@ wheels: setup
 	@$(VENV)/bin/python tools/build_wheels.py dist
 
 release-check: wheels
-	@$(VENV)/bin/python tools/release_check.py dist
+	@$(VENV)/bin/python tools/release_check.py dist $(ARGS)
 
 robots: setup
 	@$(TWO_STEPS) build/robots/.built

@@ -156,7 +156,16 @@ def test_every_target_is_there_and_named_by_help() -> None:
     assert [t for t in TARGETS if t != 'help' and f'make {t}' not in text] == []
 
 
-CHECKS = ['checked', 'docs', 'lint', 'test', 'test-browser', 'test-floor', 'test-slow']
+CHECKS = [
+    'checked',
+    'docs',
+    'lint',
+    'release-check',
+    'test',
+    'test-browser',
+    'test-floor',
+    'test-slow',
+]
 
 
 @pytest.mark.parametrize('failing', ['', *CHECKS])

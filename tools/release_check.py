@@ -1,17 +1,22 @@
 """
 Check the wheels and sdists in a folder, such as dist/, as their users meet them.
 
-Their metadata, their files, and for each way of use an installation with pip into a new
-environment, on a PATH without compiler, make and git. Prints a line per check with its time and
-the size of the environment; exits with status 1 after the first failure.
+Their metadata and changelogs, their files, and for each way of use an installation with pip into a
+new environment, on a PATH without compiler, make and git; and the set-up of a clone. Prints a line
+per check with its time and the size of the environment; exits with status 1 after the first
+failure. Times until the first report are also given in units of a loop of 20 million additions,
+because machines differ.
 
-Usage: release_check.py FOLDER
+--quick: only what takes seconds, with uv in place of pip.
+
+Usage: release_check.py FOLDER [--quick]
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 import os
 from pathlib import Path
+import re
 import shutil
 import subprocess
 import sys
@@ -20,6 +25,7 @@ import time
 import zipfile
 
 ROOT = Path(__file__).parent.parent
+UV = Path(sys.executable).with_name('uv')
 PURE = ('humanopts_ros', 'humanopts_env', 'humanopts_learner', 'humanopts_teach')
 # The packages that a user's environment has already, older than the newest.
 OLDER = {'numpy': '1.26.4', 'scipy': '1.11.4', 'scikit-learn': '1.4.2', 'pandas': '2.1.4'}
@@ -39,6 +45,12 @@ state = rooms.state_at(int(rooms.start_states()[0]))
 assert plan(rooms, [option], gamma=0.9).choose(state).name
 assert 'rclpy' not in sys.modules
 """
+PLAYS = """
+import gymnasium
+env = gymnasium.make('humanopts_env.gym_env:humanopts/Taxi-v0')
+observation, info = env.reset(seed=1)
+assert env.unwrapped.P[observation]
+"""
 
 
 class CheckError(Exception):
@@ -51,6 +63,22 @@ def check(text: str) -> Iterator[list[str]]:
     began, remarks = time.monotonic(), list[str]()
     yield remarks
     print(f'{text}: {time.monotonic() - began:.1f} s', *remarks, sep=', ', flush=True)
+
+
+def loop() -> float:
+    """Return the seconds of a loop of 20 million additions."""
+    began = time.monotonic()
+    exec('s = 0\nfor i in range(20_000_000): s += i', {})
+    return time.monotonic() - began
+
+
+@contextmanager
+def loops(remarks: list[str], text: str) -> Iterator[None]:
+    """Time a part of a check, also in units of the loop, which runs before and after it."""
+    before, began = loop(), time.monotonic()
+    yield
+    taken = time.monotonic() - began
+    remarks.append(f'{text} {taken:.1f} s, or {2 * taken / (before + loop()):.0f} loops')
 
 
 def run(*command: object, **variables: str) -> str:
@@ -73,13 +101,23 @@ def run(*command: object, **variables: str) -> str:
     return done.stdout
 
 
+def check_changelogs(dist: Path) -> None:
+    """Look for the version and its date in the changelogs."""
+    (wheel,) = dist.glob('humanopts-*.whl')
+    version = re.escape(wheel.name.split('-')[1])
+    date = r'\d{4}-\d\d-\d\d'
+    ros = rf'{version} \({date}\)'
+    titles = {ROOT / 'CHANGELOG.md': rf'## \[{version}\] - {date}'}
+    titles |= dict.fromkeys(ROOT.glob('src/*/CHANGELOG.rst'), ros)
+    for path, title in titles.items():
+        if not re.search(f'^{title}$', path.read_text('utf-8'), re.M):
+            raise CheckError(f'{path.relative_to(ROOT)} lacks the version {version} and its date')
+
+
 def expected_files(package: str) -> set[str]:
     """Return the files of a package that its wheel has to hold, by the repository's index."""
     inside = ROOT / 'src' / package
-    tracked = run(
-        '/usr/bin/env', 'git', '-C', inside, 'ls-files', package, PATH=os.environ['PATH']
-    )
-    return set(tracked.split())
+    return set(run('git', '-C', inside, 'ls-files', package, PATH=os.environ['PATH']).split())
 
 
 def check_files(dist: Path) -> None:
@@ -104,9 +142,14 @@ def check_files(dist: Path) -> None:
 class Environment:
     """A new environment of Python, with only its own programs on the PATH."""
 
-    def __init__(self, folder: Path, dist: Path) -> None:
+    def __init__(self, folder: Path, dist: Path, quick: bool = False) -> None:
         self.folder, self._dist = folder, dist
-        run(sys.executable, '-m', 'venv', folder)
+        self._pip: tuple[object, ...] = folder / 'bin/pip', 'install'
+        if quick:
+            run(UV, 'venv', '--quiet', '--python', sys.executable, folder)
+            self._pip = UV, 'pip', 'install', '--python', folder
+        else:
+            run(sys.executable, '-m', 'venv', folder)
 
     def run(self, program: str, *arguments: object, **variables: str) -> str:
         """Run a program of the environment."""
@@ -127,9 +170,10 @@ class Environment:
                 return
         raise CheckError(f'{program} does not say: {text}\n{said}')
 
-    def install(self, *packages: str) -> None:
-        """Install packages with pip, ours from the folder of wheels."""
-        self.run('pip', 'install', '--quiet', '--find-links', self._dist, *packages)
+    def install(self, *packages: str, **variables: str) -> None:
+        """Install packages, ours from the folder of wheels."""
+        given = {'PATH': str(self.folder / 'bin'), **variables}
+        run(*self._pip, '--quiet', '--find-links', self._dist, *packages, **given)
 
     @property
     def size(self) -> str:
@@ -146,15 +190,16 @@ class Environment:
 
     def versions(self) -> dict[str, str]:
         """Return the installed versions by name."""
-        lines = self.run('pip', 'list', '--format', 'freeze').split()
+        lines = run(UV, 'pip', 'list', '--format', 'freeze', '--python', self.folder).split()
         return dict(line.split('==') for line in lines if '==' in line)
 
 
-def check_learner(dist: Path, work: Path) -> Environment:
+def check_learner(dist: Path, work: Path, quick: bool) -> Environment:
     """Learn from a table where only the learner is installed, and where others came before."""
     table = ROOT / 'examples/own_table/demonstrations.csv'
+    example = ROOT / 'examples/own_table/learn_from_table.py', '--out', work / 'own'
     with check('humanopts-learner alone') as remarks:
-        alone = Environment(work / 'learner', dist)
+        alone = Environment(work / 'learner', dist, quick)
         alone.install('humanopts-learner')
         remarks.append(alone.size)
         if alone.megabytes > MAX_LEARNER:
@@ -162,9 +207,13 @@ def check_learner(dist: Path, work: Path) -> Environment:
         for name in alone.versions():
             if name.startswith('ros-') or name in ('pandas', 'nicegui'):
                 raise CheckError(f'humanopts-learner installs {name}')
-        alone.install('pandas')
-        remarks.append(f'with pandas {alone.size}')
+        alone.install('pandas', 'matplotlib', 'gymnasium')
+        remarks.append(f'with pandas, matplotlib and gymnasium {alone.size}')
         alone.run('python', '-P', '-c', LEARNS, table)
+        alone.run('python', '-P', '-c', PLAYS)
+        alone.run('python', '-P', *example)
+    if quick:
+        return alone
     with check('humanopts-learner beside older packages'):
         beside = Environment(work / 'beside', dist)
         beside.install(*(f'{name}=={version}' for name, version in OLDER.items()), 'matplotlib')
@@ -173,17 +222,13 @@ def check_learner(dist: Path, work: Path) -> Environment:
         after = beside.versions()
         if changed := {name for name in before if before[name] != after.get(name)}:
             raise CheckError(f'humanopts-learner replaces {", ".join(sorted(changed))}')
-        beside.run('python', '-P', '-c', LEARNS, table)
-        beside.run(
-            'python', '-P', ROOT / 'examples/own_table/learn_from_table.py', '--out', work / 'own'
-        )
+        beside.run('python', '-P', *example)
     with check('humanopts-learner is installable with Python ' + ', '.join(PYTHONS)):
         for version in PYTHONS:
-            uv = Path(sys.executable).with_name('uv')
             wanted = work / 'learner.in'
             wanted.write_text('humanopts-learner[tables]\n')
             run(
-                *(uv, 'pip', 'compile', '--quiet', '--only-binary', ':all:'),
+                *(UV, 'pip', 'compile', '--quiet', '--only-binary', ':all:'),
                 *('--python-version', version, '--find-links', dist, wanted),
             )
     return beside
@@ -209,14 +254,13 @@ def check_refusals(dist: Path, work: Path) -> None:
 
 def check_all(dist: Path, work: Path) -> None:
     """Teach, record, plan and report where everything is installed."""
-    with check('humanopts[all], from pip to the first report') as remarks:
+    report, fresh = work / 'demo', {'XDG_CACHE_HOME': str(work / 'cache')}
+    with check('humanopts[all]') as remarks:
         whole = Environment(work / 'all', dist)
-        whole.install('humanopts[all]')
-        report = work / 'demo'
-        whole.run(
-            'humanopts', 'demo', 'taxi', '--learn', 'goal', '--episodes', '5', '--out', report
-        )
-        remarks.append(whole.size)
+        with loops(remarks, 'from pip to the first report'):
+            whole.install('--no-compile', 'humanopts[all]', **fresh)
+            remarks.append(whole.size)
+            whole.run('humanopts', 'demo', 'taxi', '--out', report)
     with check('its commands'):
         version = whole.run('humanopts', '--version').strip()
         if version != whole.versions()['humanopts']:
@@ -236,21 +280,33 @@ def check_all(dist: Path, work: Path) -> None:
         whole.run('humanopts', 'demo', 'taxi', '--episodes', 1, '--out', work / 'other', **sourced)
 
 
+def check_clone(work: Path) -> None:
+    """Run the demo in a clone, where nothing is cached."""
+    with check('a clone') as remarks:
+        clone, path = work / 'clone', os.environ['PATH']
+        run('git', 'clone', '--quiet', ROOT, clone, PATH=path)
+        with loops(remarks, 'from make to the first report'):
+            run('make', '-C', clone, 'demo', PATH=path, XDG_CACHE_HOME=str(work / 'cache of make'))
+
+
 def main() -> int:
     """Run all checks."""
-    dist = Path(sys.argv[1]).absolute()
+    dist, quick = Path(sys.argv[1]).absolute(), sys.argv[2:] == ['--quick']
     work = Path(tempfile.mkdtemp(prefix='release-check-'))
     try:
         with check('metadata'):
-            tools = Environment(work / 'tools', dist)
+            tools = Environment(work / 'tools', dist, quick=True)
             tools.install('twine')
             tools.run('twine', 'check', '--strict', *dist.glob('humanopts*'))
+            check_changelogs(dist)
         with check('files'):
             check_files(dist)
-        learner = check_learner(dist, work)
-        check_refusals(dist, work)
-        check_all(dist, work)
-        check_gymnasium(learner, work / 'demo')
+        learner = check_learner(dist, work, quick)
+        if not quick:
+            check_refusals(dist, work)
+            check_all(dist, work)
+            check_gymnasium(learner, work / 'demo')
+            check_clone(work)
     except CheckError as error:
         print(f'failed: {error}', file=sys.stderr)
         return 1
