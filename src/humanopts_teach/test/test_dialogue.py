@@ -458,6 +458,17 @@ def asks(desk: Desk, *, compared: tuple[str, ...] = (), states: tuple[str, ...] 
     )
 
 
+def test_a_run_of_the_exam_is_not_judged_before_its_first_state_arrives(examined: Desk) -> None:
+    examined.world.game = game = replace(examined.world.game, step=2)  # of a demonstration
+    publishes(examined, Phase.DEMONSTRATING, exam=True, episode=game.episode + 1)
+    shown = examined.see()
+    assert 'Exam: run 1 of 5, step 0' in shown
+    assert 'Was it right?' not in shown
+    assert examined.press('r', 'w').asked == []
+    examined.world.game = replace(game, episode=game.episode + 1)
+    assert 'The run has ended. Was it right?' in examined.see()
+
+
 def test_a_run_is_played_until_the_question_about_it_is_answered(examined: Desk) -> None:
     asks(examined)
     assert 'board: the machine, step 0 of 2' in (seen := examined.see())

@@ -81,14 +81,14 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     """
     world, lesson = app.world, app.world.lesson
     progress = world.summary_of(lesson.participant, lesson.option_name)
-    step, blocks = world.game.step, list[Block]([_title(lesson), _position(app)])
+    blocks = list[Block]([_title(lesson), _position(app)])
     if lesson.phase is Phase.EXAM:
         blocks.append(Line(_(_EXAM_OF_ROBOT if world.robot else _EXAM)))
     if app.run is not None:
         blocks.append(Line(_('The machine shows what it learned.'), Tone.NEWS))
         if not (lesson.exam and world.robot):
             blocks.append(pace_line(world))
-    elif lesson.exam and step:
+    elif lesson.exam and _step(app):
         blocks.append(Line(_('The run has ended. Was it right?'), strong=True))
     if lesson.phase is Phase.DEMONSTRATING:
         blocks += last_step(world)
@@ -120,7 +120,7 @@ def _title(lesson: LessonView) -> Line:
 
 def _position(app: App) -> Line:
     """Return the current position in the lesson and the number of demonstrations."""
-    lesson, step = app.world.lesson, app.world.game.step
+    lesson, step = app.world.lesson, _step(app)
     start = lesson.n_demonstrations + lesson.n_not_here + 1
     if lesson.exam or lesson.phase is Phase.EXAM:
         where = _('Exam: run {number} of {count}').format(
@@ -162,6 +162,11 @@ def _position(app: App) -> Line:
 def _is_there(app: App) -> bool:
     """Return whether the state of the demonstration under way has arrived."""
     return app.world.game.episode == app.world.lesson.episode
+
+
+def _step(app: App) -> int:
+    """Return the step of the demonstration or run under way; 0: it has not begun."""
+    return app.world.game.step if _is_there(app) else 0
 
 
 def _features(app: App) -> Features:

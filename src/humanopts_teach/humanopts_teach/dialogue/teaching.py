@@ -388,8 +388,8 @@ class LessonScreen(Screen):
 
     def _verdicts(self, app: App) -> list[Command]:
         """Return the verdicts on the run of the exam, which can be stopped at any time."""
-        idle, begun = app.run is None, app.world.game.step > 0
-        robot = app.world.robot
+        game, robot, idle = app.world.game, app.world.robot, app.run is None
+        begun = game.step > 0 and game.episode == app.world.lesson.episode
         ended = idle and self.ended == app.world.lesson.episode
 
         def judge(verdict: Verdict, then: Phase | None) -> Do:
