@@ -6,7 +6,7 @@ conditions, or one of them. The order is counterbalanced deterministically, so i
 advance.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from enum import Enum
 from functools import cache, partial
 import json
@@ -22,7 +22,7 @@ from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.starts import STRATEGIES
 from humanopts_ros.limits import shown
 from humanopts_ros.text_files import fault_in, FileError, read_text, read_yaml
-from humanopts_teach.language import ENGLISH, LanguageError, N_, read_language
+from humanopts_teach.language import ENGLISH, LanguageError, read_language
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.study.questions import (
     CONTROL,
@@ -58,7 +58,7 @@ MAX_BUTTON = 60  # maximum number of characters of a button
 MAX_HOURS = 24 * 366
 MAX_READING = 60.0  # s
 _URL = re.compile(r'https://[A-Za-z0-9.-]+(:[0-9]+)?([/?][!-~]*)?')
-_PLAIN_VALUE = re.compile(r'[A-Za-z0-9_-]{1,60}')  # of a parameter, or a completion code
+_COMPLETION_CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')
 
 
 class PlanFileError(ValueError):
@@ -81,7 +81,7 @@ def _as_url(text: str) -> str:
 
 
 def _as_url_or_code(text: str) -> str:
-    return text if _PLAIN_VALUE.fullmatch(text) else _as_url(text)
+    return text if _COMPLETION_CODE.fullmatch(text) else _as_url(text)
 
 
 ButtonName = Annotated[Text, AfterValidator(partial(short, most=MAX_BUTTON))]
@@ -181,23 +181,6 @@ class Recruiting(Values):
     completed: UrlOrCode = None  # address, or code to copy
     declined: Url = None
     failed: Url = None  # after too many failed attention checks
-
-    def arrival(self, query: Mapping[str, str]) -> tuple[str, dict[str, str]]:
-        """
-        Return the code and the columns in an address; the code is empty if it is missing.
-
-        :param query: parameters of the address.
-        :raises ValueError: a value is not plain; the message is one sentence.
-        """
-        wanted = [*filter(None, [self.code]), *self.columns]
-        given = {name: query[name] for name in wanted if query.get(name)}
-        for name, value in given.items():
-            if not _PLAIN_VALUE.fullmatch(value):
-                raise ValueError(
-                    N_(f'The address is not valid: {name} may have letters, digits, - and _.')
-                )
-        columns = {name: given[name] for name in self.columns if name in given}
-        return given.get(self.code or '', ''), columns
 
 
 class _PlanFile(Values):
