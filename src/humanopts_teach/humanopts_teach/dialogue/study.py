@@ -135,8 +135,13 @@ class StudyApp(App):
         self._ends = now + left if part.minutes else math.inf
         self._signed, self._touched, self._taught = now, now, ()
         self.given_options, self.task = part.teach_buttons, part.task * (part.kind in _IN_GAME)
+        again = any(each.part == part.key for each in self._record.of('part began'))
         self.note('part began')
         self.show(_first_screen(part, self))
+        if again:
+            self.say(
+                _('You are back: what you finished is kept; what was under way begins again.')
+            )
 
     def end(self, why: str = FINISHED) -> None:
         """
