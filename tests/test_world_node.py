@@ -470,6 +470,13 @@ def test_two_worlds_in_one_namespace_both_stand(course: Course) -> None:
     assert isinstance(course.player.do('forward'), GameState)
 
 
+def test_two_worlds_in_two_namespaces_do_not_drive_one_robot(course: Course) -> None:
+    other = course.graph.spawn(WORLD, '/second', world=course.robot.file())
+    assert course.said() == 'two worlds drive one robot: stop this one or /second/world'
+    assert other.kill(signal.SIGTERM) == 0
+    course.graph.until(lambda: not course.progress[-1].stopped, 'the other to be gone', 5.0)
+
+
 def going(graph: Graph) -> tuple[Robot, NodeProcess, Player]:
     """Return a robot on its way to a goal, with its world in a process of its own."""
     robot = Robot(graph)
@@ -507,6 +514,7 @@ def test_a_world_that_starts_cancels_what_a_killed_one_began(tmp_path: Path) -> 
         robot, world, _ = going(graph)
         world.kill(signal.SIGKILL)
         assert not robot.canceled
+        robot.silent.add('odom')  # so the new one never gets ready
         graph.spawn(WORLD, world=robot.file())
         graph.until(lambda: robot.canceled, 'the goal to be canceled', 40.0)
 

@@ -97,4 +97,5 @@ class OptionLibrary:
         owner = f' of participant {participant!r}' if participant else ''
         listed = [f'{option.name!r} ({option.participant})' for option in self.options()]
         known = ', '.join([*listed, *self._primitives])
-        raise UnknownOptionError(f'unknown option {name!r}{owner}; choose from {known}')
+        what = f'unknown option {name!r}{owner}' if name else 'option_name is empty'
+        raise UnknownOptionError(f'{what}; choose from {known}')

@@ -13,9 +13,10 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import SERVICE, STREAM
 from humanopts_ros.waiting import drive
 from rclpy.action.client import ActionClient
+from rclpy.client import Client
 
 _SHOWN = 4  # fields of feedback that are shown
-_CLEARING = 5.0  # s to wait for the answer of an action server at the start
+_CLEARING = 5.0  # s to wait for an action server at the start, and for its answer
 
 
 class Report:
@@ -40,10 +41,13 @@ class Report:
 
 
 class Actuator:
-    """Carries out one action of a world; this one does nothing."""
+    """
+    Carries out one action of a world; this one does nothing.
 
-    def clear(self) -> None:
-        """Cancel what others began, such as a world that was killed."""
+    :ivar clearing: what is awaited before it can begin; empty: nothing.
+    """
+
+    clearing = ''
 
     def start(self, report: Report) -> None:
         """
@@ -137,18 +141,25 @@ class Act(Actuator):
 
     def __init__(self, node: NodeBase, spec: ActionSpec, kind: Any, goal: Any) -> None:
         self._client = ActionClient(node, kind, str(spec.action))
-        self._cancel = node.create_client(CancelGoal, f'{spec.action}/_action/cancel_goal')
         self._name, self._goal, self._guarded = spec.action, goal, node.guard.guarded
-        self._waiting = node.waiting
         self._report: Report | None = None
         self._handle: Any = None
+        cancel = node.create_client(CancelGoal, f'{spec.action}/_action/cancel_goal')
+        drive(self._clear(node, cancel))
 
-    def clear(self) -> None:
-        drive(self._waiting.answer(self._cancel, CancelGoal.Request(), _CLEARING))  # all goals
+    async def _clear(self, node: NodeBase, cancel: Client) -> None:
+        """Cancel all goals as soon as the server is found: a killed world may have sent them."""
+        found = await node.waiting.until(cancel.service_is_ready, _CLEARING)
+        if found and self._report is None:
+            self.clearing = f'{self._name} to cancel its goals'
+            await node.waiting.answer(cancel, CancelGoal.Request(), _CLEARING)
+            self.clearing = ''
 
     def start(self, report: Report) -> None:
         if not self._client.server_is_ready():
             raise DomainError(f'the action server {self._name} is not there')
+        if self.clearing:
+            raise DomainError(f'the robot waits for {self.clearing}')
         self._report, self._handle = report, None
 
         def on_feedback(message: Any) -> None:

@@ -16,7 +16,7 @@ from humanopts_env.worlds.world_file import Topic, WorldFileError
 from humanopts_interfaces.msg import ActionProgress
 from humanopts_ros.guarded_node import StartError
 from humanopts_ros.liveliness import Liveliness
-from humanopts_ros.peers import announced_ids
+from humanopts_ros.peers import announced_ids, publishers_of
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, LATCHED, LEASE, SENSOR, STREAM
 from humanopts_ros.senders import signer
@@ -65,11 +65,10 @@ class RosRobot:
         self._repeated = self._node.now()
         self._actuator.start(self.report)
 
-    def clear(self) -> None:
-        """Stand still, whatever a world that was killed has begun."""
-        for actuator in self._actuators.values():
-            actuator.clear()
-        self.halt()
+    @property
+    def clearing(self) -> str:
+        """What is awaited before an action can begin; empty: nothing."""
+        return next(filter(None, (each.clearing for each in self._actuators.values())), '')
 
     def repeat(self) -> None:
         """Send the velocity again, if it is time."""
@@ -119,6 +118,7 @@ class WorldNode(LockStepNode):
         self._lively = Liveliness(self, 'node', self._on_lost)
         self._twins = Liveliness(self, 'game')  # worlds with the name of this one
         self._others: list[str] = []  # publisher ids of other worlds
+        self._rivals: list[str] = []  # nodes world in other namespaces that drive the same robot
         self._emergency = False
         safety = self._world.file.safety
         if safety.emergency is not None:
@@ -168,6 +168,8 @@ class WorldNode(LockStepNode):
         for name, topic in self._world.file.topics.items():
             if not self._robot.sensors.has(name):
                 return self._missing(topic)
+        if self._robot.clearing:
+            return self._robot.clearing
         self._look_around()
         if self._others:
             return f'the end of {self._others[0]}, another world in this namespace'
@@ -176,7 +178,7 @@ class WorldNode(LockStepNode):
 
     def on_ready(self) -> None:
         """Publish the world, where it is, and that it does nothing."""
-        self._robot.clear()
+        self._robot.halt()
         super().on_ready()
         self.report_progress()
 
@@ -308,6 +310,8 @@ class WorldNode(LockStepNode):
             return 'the emergency stop is pressed', ''
         if self._others:
             return f'two worlds in one namespace: stop this one or {self._others[0]}', ''
+        if self._rivals:
+            return f'two worlds drive one robot: stop this one or {self._rivals[0]}', ''
         try:
             return '', self._robot.sense().outside
         except SensorError as error:
@@ -319,6 +323,10 @@ class WorldNode(LockStepNode):
         self._twins.watch(*(each for each in found if signer(each) == signer(self.publisher_id)))
         # A killed world is announced for a while; only its liveliness tells that it has ended.
         self._others = sorted(found - self._twins.lost)
+        if (velocity := self._world.file.velocity_topic) is not None:
+            drivers = {*publishers_of(self, self.resolve_topic_name(velocity.topic))}
+            others = drivers - {self.get_fully_qualified_name()}
+            self._rivals = sorted(name for name in others if name.endswith('/world'))
         self._check()
 
     def _missing(self, topic: Topic) -> str:

@@ -91,7 +91,9 @@ class Notebook:
         """Return an option of the participant."""
         option = self.history.options.get(composed(name))
         if option is None:
-            detail = f'unknown option {name!r} of {self.history.participant or "no one"}'
+            participant, detail = self.history.participant, 'open a session first'
+            if participant:
+                detail = f'unknown option {name!r} of {participant}'
             raise RefusalError(RequestStatus.NO_OPTION, detail)
         return option
 
