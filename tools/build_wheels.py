@@ -53,6 +53,23 @@ class Compiled(Distribution):
 setup(distclass=Compiled, **{settings})
 """
 
+# An old pip does not take the wheel where it fits.
+_REFUSAL = """
+import platform
+import sys
+
+here = *sys.version_info[:2], sys.platform, platform.machine()
+if here == ({major}, {minor}, 'linux', 'x86_64'):
+    raise SystemExit(
+        'This pip is too old for the wheel of humanopts-interfaces; update it: '
+        'python -m pip install --upgrade pip'
+    )
+raise SystemExit(
+    'humanopts-interfaces {number} is compiled for Python {major}.{minor} on Linux, x86-64. '
+    'Use that Python, or build the wheels with yours in a clone: make wheels PYTHON=python3.X'
+)
+"""
+
 
 def version_of(package: str) -> str:
     """Return the version of a package in src/."""
@@ -129,19 +146,15 @@ def refusal(into: Path) -> None:
 
     Compiling them needs ROS, which pip could not provide.
     """
-    number, python = version_of(INTERFACES), f'{sys.version_info.major}.{sys.version_info.minor}'
+    number, (major, minor) = version_of(INTERFACES), sys.version_info[:2]
     folder = f'{INTERFACES}-{number}'
-    text = (
-        f'humanopts-interfaces {number} is compiled for Python {python} on Linux, x86-64. '
-        'Use that Python, or build the wheels with yours in a clone: make wheels PYTHON=python3.X'
-    )
     parts = {
         'PKG-INFO': f'Metadata-Version: 2.1\nName: {INTERFACES}\nVersion: {number}\n'
         'Summary: Compiled ROS 2 interfaces of humanopts\n'
         'Description-Content-Type: text/plain\n\nSee humanopts.\n',
         'pyproject.toml': '[build-system]\nrequires = []\n'
         'build-backend = "refusal"\nbackend-path = ["."]\n',
-        'refusal.py': f'raise SystemExit({text!r})\n',
+        'refusal.py': _REFUSAL.format(number=number, major=major, minor=minor),
     }
     with tarfile.open(into / f'{folder}.tar.gz', 'w:gz') as archive:
         for name, content in parts.items():

@@ -29,6 +29,7 @@ UV = Path(sys.executable).with_name('uv')
 PURE = ('humanopts_ros', 'humanopts_env', 'humanopts_learner', 'humanopts_teach')
 # The packages that a user's environment has already, older than the newest.
 OLDER = {'numpy': '1.26.4', 'scipy': '1.11.4', 'scikit-learn': '1.4.2', 'pandas': '2.1.4'}
+OLD_PIP = 'pip==20.2.4'
 PYTHONS = ('3.11', '3.12', '3.13')
 OF_INDEX = 'PIP_', 'UV_', 'SSL_', 'REQUESTS_'  # settings of the package index
 MEGABYTE = 2**20
@@ -156,14 +157,14 @@ class Environment:
         given = {'PATH': str(self.folder / 'bin'), **variables}
         return run(self.folder / 'bin' / program, *arguments, **given)
 
-    def refuses(self, text: str, program: str, *arguments: object) -> None:
+    def refuses(self, text: str, program: str, *arguments: object, **variables: str) -> None:
         """
         Run a program that has to fail with a text.
 
         :raises CheckError: it does not.
         """
         try:
-            said = self.run(program, *arguments)
+            said = self.run(program, *arguments, **variables)
         except CheckError as error:
             said = ' '.join(str(error).split())
             if text in said:
@@ -242,14 +243,21 @@ def check_gymnasium(learner: Environment, lesson: Path) -> None:
 
 
 def check_refusals(dist: Path, work: Path) -> None:
-    """Check what a user reads who lacks an extra, or has another Python."""
+    """Check what a user reads who lacks an extra, or has an old pip or another Python."""
     with check('humanopts without extras'):
         bare = Environment(work / 'bare', dist)
         bare.install('humanopts')
         bare.refuses("install it with: pip install 'humanopts[ros]'", 'humanopts', 'demo', 'taxi')
-    with check('interfaces for another Python'):
-        install = 'install', '--no-binary', 'humanopts-interfaces', '--find-links', dist
-        bare.refuses('is compiled for Python', 'pip', *install, 'humanopts-interfaces')
+    with check('humanopts[ros] with an old pip'):
+        bare.install(OLD_PIP)
+        wanted = 'install', '--find-links', dist, 'humanopts[ros]'
+        bare.refuses('update it: python -m pip install --upgrade pip', 'pip', *wanted)
+    with check('humanopts[ros] with another Python'):
+        (sdist,) = dist.glob('humanopts_interfaces-*.tar.gz')
+        shutil.unpack_archive(sdist, work)
+        code = 'import sys; sys.version_info = 3, 10, 0; import refusal'
+        source = {'PYTHONPATH': str(work / sdist.name.removesuffix('.tar.gz'))}
+        bare.refuses('is compiled for Python', 'python', '-c', code, **source)
 
 
 def check_all(dist: Path, work: Path) -> None:
