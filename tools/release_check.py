@@ -145,7 +145,7 @@ class Environment:
 
     def __init__(self, folder: Path, dist: Path, quick: bool = False) -> None:
         self.folder, self._dist = folder, dist
-        self._pip: tuple[object, ...] = folder / 'bin/pip', 'install'
+        self._pip: tuple[object, ...] = folder / 'bin/pip', 'install', '--no-compile'
         if quick:
             run(UV, 'venv', '--quiet', '--python', sys.executable, folder)
             self._pip = UV, 'pip', 'install', '--python', folder
@@ -172,7 +172,7 @@ class Environment:
         raise CheckError(f'{program} does not say: {text}\n{said}')
 
     def install(self, *packages: str, **variables: str) -> None:
-        """Install packages, ours from the folder of wheels."""
+        """Install packages as the documentation does, ours from the folder of wheels."""
         given = {'PATH': str(self.folder / 'bin'), **variables}
         run(*self._pip, '--quiet', '--find-links', self._dist, *packages, **given)
 
@@ -201,7 +201,7 @@ def check_learner(dist: Path, work: Path, quick: bool) -> Environment:
     example = ROOT / 'examples/own_table/learn_from_table.py', '--out', work / 'own'
     with check('humanopts-learner alone') as remarks:
         alone = Environment(work / 'learner', dist, quick)
-        alone.install('humanopts-learner')
+        alone.install('humanopts-learner', *() if quick else ('--compile',))
         remarks.append(alone.size)
         if alone.megabytes > MAX_LEARNER:
             raise CheckError(f'it is larger than {MAX_LEARNER} MB')
@@ -266,7 +266,7 @@ def check_all(dist: Path, work: Path) -> None:
     with check('humanopts[all]') as remarks:
         whole = Environment(work / 'all', dist)
         with loops(remarks, 'from pip to the first report'):
-            whole.install('--no-compile', 'humanopts[all]', **fresh)
+            whole.install('humanopts[all]', **fresh)
             remarks.append(whole.size)
             whole.run('humanopts', 'demo', 'taxi', '--out', report)
     with check('its commands'):
