@@ -41,6 +41,7 @@ KEYS = {
     'scipy': 'python3-scipy',
     'setproctitle': 'python3-setproctitle',
     'sklearn': 'python3-sklearn',
+    'statsmodels': 'python3-statsmodels',
     'typer': 'python3-typer-pip',
     'starlette': 'python3-nicegui-pip',
     'typing_extensions': 'python3-typing-extensions',

@@ -76,7 +76,7 @@ setup(
     ],
     extras_require={
         'browser': ['nicegui>=3'],
-        'study': ['pyreadstat'],
+        'study': ['pyreadstat', 'statsmodels>=0.14.1'],
         'dask': ['dask', 'distributed'],
         'minari': ['minari[arrow]'],
         'parquet': ['pyarrow'],

@@ -50,6 +50,7 @@ _EXTRAS = {
     'nicegui': 'browser',
     'fastapi': 'browser',
     'pyreadstat': 'study',
+    'statsmodels': 'study',
     'gymnasium': 'worlds',
 }
 OUTSIDE = {  # commands available only in the repository: module of the Typer app, and help

@@ -27,7 +27,6 @@ import pandas as pd
 import pyreadstat
 import pytest
 from scipy.stats import ttest_ind
-from statsmodels.regression.mixed_linear_model import MixedLM
 from teach_support.taught_study import Clock, lesson, take_part
 
 HOUR = 3600.0
@@ -231,16 +230,6 @@ def test_with_one_condition_for_each_person_it_is_that_of_a_t_test() -> None:
     limits = model.rows[0].difference.low, model.rows[0].difference.high
     assert limits == pytest.approx((expected.low, expected.high))
     assert 'no random intercept' in model.remark
-
-
-def test_with_rows_missing_it_is_the_mixed_model_of_statsmodels() -> None:
-    rows = paired(20).drop(index=[3, 8, 21])
-    model = effects(rows, 'y', ['a', 'b'])
-    columns = np.column_stack([np.ones(len(rows)), rows['condition'] == 'b']).astype(float)
-    expected = MixedLM(rows['y'].to_numpy(), columns, rows['participant'].to_numpy()).fit()
-    assert model.rows[0].difference.mean == pytest.approx(expected.fe_params[1], rel=1e-4)
-    assert model.between == pytest.approx(np.sqrt(expected.cov_re[0, 0]), rel=1e-3)
-    assert model.within == pytest.approx(np.sqrt(expected.scale), rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -252,8 +252,10 @@ async def _graph(setup: Setup, seat: Seat | ConditionSeat) -> AsyncIterator[None
     watching = None
     try:
         starting, leaving = asyncio.create_task(said()), asyncio.create_task(seat.over.wait())
-        await asyncio.wait((starting, leaving), return_when=asyncio.FIRST_COMPLETED)
-        leaving.cancel()
+        try:
+            await asyncio.wait((starting, leaving), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            leaving.cancel()
         if starting.done() and starting.result():
             raise GameError(f'The game cannot be started: {starting.result()}.')
         watching = asyncio.create_task(watch()) if starting.done() else starting

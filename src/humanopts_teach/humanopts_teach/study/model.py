@@ -7,6 +7,7 @@ intercept per participant (Laird and Ware 1982), fitted by restricted maximum li
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import warnings
 
 from humanopts_env.arrays import Floats
 from humanopts_learner.intervals import Interval
@@ -101,44 +102,25 @@ def _fit(
     values: Floats, columns: Floats, people: 'np.ndarray[tuple[int], np.dtype[np.object_]] | None'
 ) -> tuple[Floats, Floats, float, float]:
     """
-    Fit the model, by the variance of intercepts relative to that of residuals.
-
-    Given this ratio, rows less a share of their participant's mean are independent, and least
-    squares give everything else (Pinheiro and Bates 2000, section 2.2).
+    Fit the model.
 
     :param people: of each row; None: without random intercepts.
     :return: means and standard errors of the fixed effects, and the standard deviations of
         intercepts and residuals.
     """
-    from scipy.optimize import minimize_scalar  # slow to import
+    # Each takes a second to import.
+    from statsmodels.regression.linear_model import OLS
+    from statsmodels.regression.mixed_linear_model import MixedLM
 
-    free = len(values) - columns.shape[1]
-    rows = np.column_stack([columns, values])
-    persons = np.arange(len(values)) if people is None else people
-    _, person, counts = np.unique(persons, return_inverse=True, return_counts=True)
-    sums = np.zeros((len(counts), rows.shape[1]))
-    np.add.at(sums, person, rows)
-
-    def fitted(ratio: float) -> tuple[Floats, Floats, float, float]:
-        """Return means, their standard errors, residual variance and -2 log likelihood."""
-        shares = (1 - 1 / np.sqrt(1 + counts * ratio)) / counts
-        independent = rows - (shares[:, None] * sums)[person]
-        x, y = independent[:, :-1], independent[:, -1]
-        inverse = np.linalg.inv(x.T @ x)
-        means = inverse @ x.T @ y
-        scale = float(((y - x @ means) ** 2).sum() / free)
-        with np.errstate(divide='ignore'):  # the fit may be perfect
-            unlikely = free * np.log(scale) + np.log1p(counts * ratio).sum()
-        unlikely -= np.linalg.slogdet(inverse)[1]
-        return means, np.sqrt(scale * np.diag(inverse)), scale, float(unlikely)
-
-    ratio = 0.0
     if people is not None:
-        found = minimize_scalar(
-            lambda log: fitted(np.exp(log))[-1], bounds=(-20, 20), options={'xatol': 1e-9}
-        )
-        ratio = float(np.exp(found.x))
-        ratio = ratio if ratio > 1e-6 else 0.0
-    means, errors, scale, _ = fitted(ratio)
-    between = np.nan if people is None else float(np.sqrt(ratio * scale))
-    return means, errors, between, float(np.sqrt(scale))
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')  # a variance of 0 is handled below
+            found = MixedLM(values, columns, people).fit(reml=True)
+        variance, errors = float(found.cov_re[0, 0]), np.asarray(found.bse_fe)
+        if np.isfinite(errors).all() and variance > 1e-6 * found.scale:
+            fixed = np.asarray(found.fe_params)
+            return fixed, errors, float(np.sqrt(variance)), float(np.sqrt(found.scale))
+    # At a variance of 0 the mixed model is the ordinary one.
+    plain = OLS(values, columns).fit()
+    between = np.nan if people is None else 0.0
+    return plain.params, plain.bse, between, float(np.sqrt(plain.scale))
