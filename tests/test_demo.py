@@ -159,15 +159,16 @@ def test_no_message_is_lost_and_the_summary_counts_them(demo: DemoRun, bag: Bag)
 
 def test_every_service_call_is_recorded_by_both_its_ends(bag: Bag) -> None:
     names = [name for name in bag.topics if name.endswith('/_service_event')]
-    calls = defaultdict(list)  # the ends call the client differently
+    calls = defaultdict(list)  # with Jazzy, the ends call the client differently
     for recorded in bag.messages(names):
         info = recorded.message.info
         end = (recorded.topic, tuple(info.client_gid), info.sequence_number)
         calls[end].append(info.event_type)
-    asked = [end[0] for end, events in calls.items() if sorted(events) == [0, 3]]
-    answered = [end[0] for end, events in calls.items() if sorted(events) == [1, 2]]
+    assert {tuple(sorted(events)) for events in calls.values()} <= {(0, 3), (1, 2), (0, 1, 2, 3)}
+    asked = [topic for (topic, *_), events in calls.items() if 0 in events]
+    answered = [topic for (topic, *_), events in calls.items() if 1 in events]
     assert Counter(asked) == Counter(answered)
-    assert len(asked) + len(answered) == len(calls) > 300
+    assert len(asked) > 150
 
 
 def test_demonstrations_in_the_bag_are_those_on_disk(demo: DemoRun, bag: Bag) -> None:
