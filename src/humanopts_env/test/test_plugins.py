@@ -83,7 +83,7 @@ def test_a_domain_of_another_package_is_made_by_its_name() -> None:
         ('empty', "'empty' of cab-plugin cannot be loaded .*Bus"),
         ('broken', 'broken cannot be made: RuntimeError: no licence found'),
         ('leaving', 'leaving cannot be made: SystemExit: 3'),
-        ('wide', r'wide breaks the contract of domains: .*\(10,\) features'),
+        ('wide', r'wide breaks the contract of domains: .* shape \(10,\), not \(9,\)'),
         ('rooms', "'rooms' is the name of several domains, cab_plugin:Cab, .*Rooms: rename one"),
         ('bus', "no domain 'bus'; there is .*cab.*gymnasium:ENV_ID"),
     ],

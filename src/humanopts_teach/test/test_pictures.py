@@ -127,7 +127,7 @@ def test_a_lesson_shows_the_picture_and_a_table_and_says_that_it_shows_more(desk
 def test_an_image_is_smaller_where_the_text_needs_more_room(desk: Desk) -> None:
     wide = max(line.count('▀') for line in frame(desk.app, 80, 24, 'truecolor'))
     conflict = 30 * 'apple direction north: not the end (10x), '
-    found = OptionSummary('fill', 'p1', ('apple_direction',), conflicts=(conflict[:400],))
+    found = OptionSummary('fill', 'p1', ('apple_direction',), conflicts=(conflict[:300],))
     desk.world.summaries = [found]
     screen = frame(desk.app, 80, 24, 'truecolor')
     assert max(line.count('▀') for line in screen) == 26 < wide
