@@ -99,10 +99,9 @@ class Course:
         """Return the newest state that led somewhere."""
         return [s for s in self.player.states if not s.refreshed][-1]
 
-    def said(self) -> str:
-        """Wait until the robot stands because of a fault, and return why."""
-        self.graph.until(lambda: self.progress[-1].stopped, 'a fault')
-        return self.progress[-1].stopped
+    def stands(self, why: str) -> None:
+        """Wait until the robot stands because of a fault; at first, sensors may be late."""
+        self.graph.until(lambda: self.progress[-1].stopped.startswith(why), why)
 
     def refused(self, action: str = 'forward', source: int = MACHINE) -> tuple[int, str]:
         """Return why a command is refused."""
@@ -330,7 +329,7 @@ def test_the_emergency_stop_locks_and_refuses_even_a_person(qos: Any, course: Co
     course.graph.until(lambda: pressed.get_subscription_count() > 0, 'the world to listen')
     course.begin('go')
     pressed.publish(Bool(data=True))
-    assert course.said() == 'the emergency stop is pressed'
+    course.stands('the emergency stop is pressed')
     assert course.newest().cut_short
     assert course.refused('forward', PERSON) == (
         ActionRefusal.REASON_PAUSED,
@@ -363,7 +362,7 @@ def test_a_sensor_that_fails_stops_the_robot_with_one_sentence(fault: str, cours
     before = course.newest()
     began = time.monotonic()
     break_it(course.robot)
-    assert course.said().startswith(sentence)
+    course.stands(sentence)
     assert time.monotonic() - began < LATE + 0.2  # as long as a scan may be old, and a check
     state = course.newest()
     assert (state.previous_action, state.cut_short) == ('go', True)
@@ -380,7 +379,7 @@ def test_out_of_the_range_of_a_feature_only_a_person_drives(course: Course) -> N
     course.begin('go')
     course.robot.x = 8.5
     sentence = 'the feature x is out of its range 0 to 8: it is 8.5; only a person can drive it'
-    assert course.said().startswith(sentence)
+    course.stands(sentence)
     assert (course.newest().previous_action, course.newest().cut_short) == ('go', True)
     assert course.refused('forward', MACHINE)[1].startswith(sentence)
     out = course.player.do('forward', PERSON)
@@ -457,7 +456,7 @@ def test_a_node_is_lost_even_if_the_middleware_never_said_that_it_was_alive(
 def test_two_worlds_in_one_namespace_both_stand(course: Course) -> None:
     me = course.player.state.publisher_id
     other = course.graph.spawn(WORLD, world=course.robot.file())
-    assert course.said().startswith('two worlds in one namespace: stop this one or /world#')
+    course.stands('two worlds in one namespace: stop this one or /world#')
     reasons = (
         ActionRefusal.REASON_PAUSED,
         ActionRefusal.REASON_LOCKED,
@@ -472,7 +471,7 @@ def test_two_worlds_in_one_namespace_both_stand(course: Course) -> None:
 
 def test_two_worlds_in_two_namespaces_do_not_drive_one_robot(course: Course) -> None:
     other = course.graph.spawn(WORLD, '/second', world=course.robot.file())
-    assert course.said() == 'two worlds drive one robot: stop this one or /second/world'
+    course.stands('two worlds drive one robot: stop this one or /second/world')
     assert other.kill(signal.SIGTERM) == 0
     course.graph.until(lambda: not course.progress[-1].stopped, 'the other to be gone', 5.0)
 
