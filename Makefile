@@ -23,9 +23,9 @@ PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*') \
   $(wildcard examples/*/humanopts_*/simulation.py) examples/humanopts_rover/humanopts_rover/driving.py
 CHECKED := conftest.py src experiments benchmarks tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
-# Six processes, each with one test file at a time: some compute while others wait for graphs.
+# Four processes, each with one test file at a time: some compute while others wait for graphs.
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \
-  -n 6 --dist loadfile --no-loadscope-reorder
+  -n 4 --dist loadfile --no-loadscope-reorder
 # Tests that compute with the oldest packages; make test-floor only imports everything else.
 FLOOR := src/humanopts_env src/humanopts_learner $(foreach name,evaluation export study_tables table1, \
   $(wildcard src/humanopts_teach/test/test_$(name)*.py))
