@@ -46,9 +46,13 @@
     if (event.detail > 0 && Date.now() - pointed < 1000) return;
     press(event);
   });
+  let later; // a text that is typed before the page is connected
   document.addEventListener('submit', (event) => {
     event.preventDefault();
-    send(['ctrl-u', ...input().value.replace(/\s+/g, ' '), 'enter']);
+    const form = event.target;
+    clearTimeout(later);
+    if (window.socket?.connected) send(['ctrl-u', ...input().value.replace(/\s+/g, ' '), 'enter']);
+    else later = setTimeout(() => form.isConnected && form.requestSubmit(), 100);
   });
 
   // Report each frame as displayed. A frame replaces elements: the focus returns to the button with
