@@ -203,19 +203,20 @@ def decisions(option: Option, rows: Rows, domain: ActableDomain) -> tuple[Flags,
 
     :raises OptionError: it returns anything else.
     """
-    found = option.can_start(rows), option.action(rows), option.ends(rows)
+    given = option.can_start(rows), option.action(rows), option.ends(rows)
+    found: list[NDArray[Any]] = [np.asarray(each) for each in given]
     kinds = ('b', 'bools'), ('iu', 'integers'), ('b', 'bools')
     for name, each, (kind, needed) in zip(('can_start', 'action', 'ends'), found, kinds):
-        if np.shape(each) != (len(rows),) or np.asarray(each).dtype.kind not in kind:
+        if each.shape != (len(rows),) or each.dtype.kind not in kind:
             raise OptionError(
                 f'{name} of option {option.name!r} must return an array of {len(rows)} {needed}, '
                 'one for each row'
             )
-    action, last = found[1], len(domain.actions) - 1
+    (can_start, action, ends), last = found, len(domain.actions) - 1
     if len(rows) and not 0 <= action.min() <= action.max() <= last:
         wrong = action[(action < 0) | (action > last)][0]
         raise OptionError(f'option {option.name!r} takes action {wrong}; they are 0 to {last}')
-    return found
+    return can_start, action, ends
 
 
 class OptionTable:
