@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import as_completed, ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 import json
@@ -36,7 +36,7 @@ PLAN = {
 ASKED = {'items': [{'name': 'hard', 'text': 'How hard was it?', 'low': 'not', 'high': 'very'}]}
 CONDITION = [('Finish teaching', ['5']), ('How hard', ['3', 'enter'])]
 END = 'You have finished the study'
-STEPS = [  # what is shown, and the keys
+STEPS: list[tuple[str, Sequence[str]]] = [  # what is shown, and the keys
     ('Taking part', ['y']),
     ('Which button', [*'fetch', 'enter']),
     *CONDITION,
@@ -101,17 +101,15 @@ class People:
         :param first: number of steps done before.
         """
         with self._page(code) as page:
-            for words, keys in STEPS[first:most]:
-                self._read(page, code, words)
-                self._press(page, words, keys)
-            self._read(page, code, [*(words for words, _ in STEPS), END][most])
+            self._read(page, code, STEPS[first][0])
+            following = [*(words for words, _ in STEPS[first + 1 :]), END]
+            for step, after in list(zip(STEPS[first:], following))[: most - first]:
+                self._read(page, code, after, step)
 
     def decline(self, code: str) -> None:
         """Read the consent, and do not agree."""
         with self._page(code) as page:
-            self._read(page, code, 'Taking part')
-            self._press(page, 'Taking part', ['n'])
-            self._read(page, code, 'Nothing was saved')
+            self._read(page, code, 'Nothing was saved', ('Taking part', ['n']))
 
     @contextmanager
     def _page(self, code: str) -> Iterator['Page']:
@@ -123,34 +121,38 @@ class People:
             self.failed = True
             raise
 
-    def _read(self, page: Page, code: str, words: str) -> None:
-        """Wait until a page shows something."""
+    def _read(
+        self, page: Page, code: str, words: str, step: tuple[str, Sequence[str]] = ('', ())
+    ) -> None:
+        """
+        Wait until a page shows something.
+
+        :param step: what the page may show before, and the keys that lead on; they are pressed
+            again if the page still shows it, such as after it was opened again.
+        """
         deadline = time.monotonic() + PATIENCE
+        before, keys = step
+        pressed = -AGAIN
         while words not in (shown := page.panel()):
             if 'in line' in shown:
                 self.waited.add(code)
             assert 'cannot go on' not in shown, f'{code}: {shown}'
             assert not self.failed
             assert time.monotonic() < deadline, f'no {words} for {code}: {shown}'
+            if keys and before in shown and time.monotonic() - pressed > AGAIN:
+                page.press()  # it is displayed
+                time.sleep(BLINK)
+                page.press(*keys)
+                pressed = time.monotonic()
             time.sleep(0.1)
-
-    def _press(self, page: Page, words: str, keys: Sequence[str]) -> None:
-        """Press keys once they count, and again if nothing changes."""
-        while words in page.panel() and not self.failed:
-            page.press()  # it is displayed
-            time.sleep(BLINK)
-            page.press(*keys)
-            until = time.monotonic() + AGAIN
-            while words in page.panel() and time.monotonic() < until:
-                time.sleep(0.1)
 
     @staticmethod
     def all_of(visits: Iterable[Callable[[], None]]) -> None:
         """Let people come at once, and wait until the last has left."""
         visits = list(visits)
         with ThreadPoolExecutor(len(visits)) as threads:
-            for visit in [threads.submit(visit) for visit in visits]:
-                visit.result()
+            for visit in as_completed([threads.submit(visit) for visit in visits]):
+                visit.result()  # the first failure says why; it makes the others leave
 
 
 def a_day_passes(study: Path, codes: Iterable[str]) -> None:

@@ -286,12 +286,14 @@ class Graph:
         self.started.append(NodeProcess(name, process, log))
         return self.started[-1]
 
-    def until(self, condition: Callable[[], Any], what: str, seconds: float = 20.0) -> None:
+    def until(self, condition: Callable[[], Any], what: str, seconds: float = 20.0) -> float:
         """
-        Serve all nodes until a condition holds.
+        Serve all nodes until a condition holds, and return the seconds that it took.
 
-        :param seconds: of waiting at most. Time that callbacks of nodes in this process take, such
-            as learning, does not count, nor does time that the machine gives to other processes.
+        Time that callbacks of nodes in this process take, such as learning, does not count, nor
+        does time that the machine gives to other processes.
+
+        :param seconds: at most.
         """
         waited = 0.0
         while not condition():
@@ -302,6 +304,7 @@ class Graph:
             began = time.monotonic()
             self.spin()
             waited += min(time.monotonic() - began, 2 * SPIN)
+        return waited
 
     def spin(self) -> None:
         """

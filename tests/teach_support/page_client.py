@@ -39,7 +39,7 @@ class PageClient:
 
     def connect(self) -> socketio.Client:
         """Connect, as a page does when it was loaded, and after the network was gone."""
-        connection = socketio.Client()
+        connection = socketio.Client(reconnection=False)  # the test decides when
         connection.on('update', self._update)
         connection.on('run_javascript', partial(self._run, connection))
         connection.on('open', lambda message: self.opened.append(self.prefix + message['path']))
