@@ -6,7 +6,6 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import make_domain
@@ -57,9 +56,6 @@ from humanopts_teach.evaluation.tables import (
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.launching import LaunchError
 
-if TYPE_CHECKING:
-    import pandas as pd  # slow to import
-
 EPISODES, LONG_EPISODES = 100, 5  # live episodes; the second with sampled plans
 _WATCHED = 0.02  # s between steps of the machine in a terminal
 
@@ -103,9 +99,12 @@ def run_demo(
     with DemoProgress() as progress, processes(int(exact)) as executor:
         with session(setup, progress, new=True) as running:
             progress.stage('teaching')
-            wait_until_taught(running)
-            taught = running.graph.learned()
             import_ahead(['sklearn.tree', evaluate_bag.__module__], executor)
+            with ThreadPoolExecutor(1) as background:
+                ready = background.submit(_import_report, exact)
+                wait_until_taught(running)
+                ready.result()
+            taught = running.graph.learned()
             live = _plan_and_play(running, domain, taught, played, judged, progress)
         progress.stage('evaluating the bag')
         try:
@@ -138,6 +137,17 @@ def run_demo(
     return 1 if problems or running.stop_problems else 0
 
 
+def _import_report(learns: bool) -> None:
+    """
+    Import what the report needs, while the graph teaches.
+
+    :param learns: whether this process learns the options again.
+    """
+    if learns:
+        import sklearn.tree  # noqa: F401
+    from humanopts_teach.report import write  # noqa: F401
+
+
 def _plan_and_play(
     running: Session,
     domain: Domain,
@@ -148,17 +158,8 @@ def _plan_and_play(
 ) -> Live:
     from humanopts_learner.ros.convert import plan_from_message  # slow to import
 
-    def prepare() -> 'pd.DataFrame':  # while the graph plans and plays
-        if is_enumerable(domain):  # this process learns the options again
-            import sklearn.tree  # noqa: F401
-        from humanopts_teach.report import write  # noqa: F401
-
-        return table(OPTIONS, [option_row(summary, each, domain) for each, summary in taught])
-
     graph, setup = running.graph, running.setup
     progress.stage('planning')
-    background = ThreadPoolExecutor(1)
-    options = background.submit(prepare)
     plans = [
         graph.retry(partial(graph.plan, name, judged, setup.seed, setup.game_steps))
         for name in (HUMAN, PRIMITIVE)
@@ -166,7 +167,6 @@ def _plan_and_play(
     progress.stage(f'playing {episodes} episodes')
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed, setup.game_steps))
     graph.wait(graph.all_recorded, ARRIVAL_SECONDS, 'what was shown to be in the newest bag')
-    background.shutdown()
     execution = PlayedEpisodes(
         played.episodes,
         played.successes,
@@ -175,7 +175,8 @@ def _plan_and_play(
         played.mean_return,
     )
     planned = [plan_row(plan_from_message(result)) for result in plans]
-    return Live(options.result(), table(PLANS, planned), execution)
+    options = [option_row(summary, each, domain) for each, summary in taught]
+    return Live(table(OPTIONS, options), table(PLANS, planned), execution)
 
 
 def _problems(

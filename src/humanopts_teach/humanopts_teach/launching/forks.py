@@ -99,6 +99,7 @@ def _serve(domain: str) -> None:
         if os.getppid() != launch:  # the command was refused
             os._exit(0)
         import_module(MODULES[name])
+    import_module('sklearn.tree')  # which learner and lesson need in the first lesson
     with suppress(Exception):  # the nodes will say what is wrong
         for module in modules_of(domain):
             import_module(module)
