@@ -42,7 +42,7 @@ export COLCON_HOME := $(CURDIR)/build/colcon
 
 help:
 	@echo 'make demo    let a simulated teacher teach two options for Taxi; plan, play, report (OUT=, SEED=)'
-	@echo 'make test    run the tests, six at a time (ARGS=); those without a graph come first'
+	@echo 'make test    run the tests, four at a time (ARGS=); those without a graph come first'
 	@echo 'make test-quick  run the quick tests of pure code; make test-slow  those that take minutes'
 	@echo 'make test-whole  run tests of whole commands: the demo of Pac-Man, studies, dying nodes'
 	@echo 'make test-floor  run tests of pure code with the oldest supported packages'
@@ -63,8 +63,7 @@ help:
 	@echo 'make clean   remove everything that make created'
 
 setup:
-	@$(TWO_STEPS) build/.packages
-	@$(TWO_STEPS) $(VENV)/.compiled
+	@$(TWO_STEPS) build/.packages $(VENV)/.compiled
 
 # ROS and the build tools. The other packages are installed while the interfaces compile.
 $(VENV)/.build-locked: requirements-build.lock
@@ -111,8 +110,8 @@ build/robots/.built: $(ROBOT_INTERFACES:%=build/robots/.interfaces-%) $(ROBOTS) 
 	$(STEP) 'Building the simulated robots' tools/build_robots.sh $(VENV)
 	@touch $@
 
-# Compile the modules that the packages import. Only the order matters: they exist by now.
-$(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py | build/.packages
+# While the packages are built, not while the interfaces are, which takes all cores.
+$(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py | build/.interfaces
 	$(STEP) 'Compiling the modules that the packages import' $(SHELL) -c \
 	  '$(WITH_ROS); $(VENV)/bin/python tools/compile_imports.py'
 	@touch $@

@@ -1,8 +1,9 @@
 """
-Import every module of src/ and all imports inside functions, so that Python compiles them.
+Import what the modules of src/ import, also inside functions, so that Python compiles it.
 
 These are a hundredth of the installed modules; compiling all takes five times as long. This is
-part of the set-up because other users may lack write permission.
+part of the set-up because other users may lack write permission. The modules of src/ are compiled
+when they are installed.
 """
 
 import ast
@@ -12,15 +13,16 @@ from pathlib import Path
 
 
 def main(source: Path) -> None:
-    """Import all modules; optional packages may be missing."""
-    for path in sorted(source.glob('humanopts_*/humanopts_*/**/[!_]*.py')):
-        needed = ['.'.join(path.relative_to(source).with_suffix('').parts[1:])]
+    """Import all of it; optional packages may be missing."""
+    needed = set[str]()
+    for path in source.glob('humanopts_*/humanopts_*/**/*.py'):
         for node in ast.walk(ast.parse(path.read_bytes())):
             if isinstance(node, ast.ImportFrom) and node.module:
-                needed.append(node.module)
+                needed.add(node.module)
             elif isinstance(node, ast.Import):
-                needed += [alias.name for alias in node.names]
-        for name in needed:
+                needed |= {alias.name for alias in node.names}
+    for name in sorted(needed):
+        if not name.startswith('humanopts_'):
             with suppress(ImportError):
                 import_module(name)
 
