@@ -110,8 +110,8 @@ build/robots/.built: $(ROBOT_INTERFACES:%=build/robots/.interfaces-%) $(ROBOTS) 
 	$(STEP) 'Building the simulated robots' tools/build_robots.sh $(VENV)
 	@touch $@
 
-# While the packages are built, not while the interfaces are, which takes all cores.
-$(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py | build/.interfaces
+# While the interfaces are built, a third of which takes one core.
+$(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py
 	$(STEP) 'Compiling the modules that the packages import' $(SHELL) -c \
 	  '$(WITH_ROS); $(VENV)/bin/python tools/compile_imports.py'
 	@touch $@
