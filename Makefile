@@ -38,7 +38,7 @@ unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
 unexport $(shell cat src/humanopts_ros/humanopts_ros/foreign_variables.txt)
 export COLCON_HOME := $(CURDIR)/build/colcon
 
-.PHONY: help setup checked wheels release-check robots demo test test-quick test-floor test-kilted test-whole test-slow test-browser test-hosts test-stress soak faults lint docs format lock clean
+.PHONY: help setup checked wheels release-check robots demo test test-quick test-floor test-kilted test-whole test-slow test-browser test-hosts test-stress soak faults lint docs screens format lock clean
 
 help:
 	@echo 'make demo    let a simulated teacher teach two options for Taxi; plan, play, report (OUT=, SEED=)'
@@ -55,6 +55,7 @@ help:
 	@echo 'make faults  kill, stop, blind and cut off what drives the simulated rover (FAULTS=, SEED=)'
 	@echo 'make lint    run ruff and mypy --strict; check rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
+	@echo 'make screens  record the pictures of the terminal in docs/images, with real keys'
 	@echo 'make robots  build the simulated robots of the examples: a rover and a gripper'
 	@echo 'make wheels  build wheels and sdists into dist/; make release-check installs and tries them (ARGS=--quick)'
 	@echo 'make setup   do only the set-up, which the other targets do when needed'
@@ -184,6 +185,9 @@ lint: checked
 	@$(VENV)/bin/ruff format --check --quiet $(CHECKED)
 	@$(VENV)/bin/mypy $(PURE)
 	@$(VENV)/bin/python tools/check_packages.py
+
+screens: checked
+	@$(WITH_ROS); PYTHONPATH="$$PYTHONPATH:$(CURDIR)/tests" $(VENV)/bin/python tools/record_screens.py docs/images
 
 docs: $(VENV)/.test-locked
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict 2> >(grep -v '^INFO' >&2)

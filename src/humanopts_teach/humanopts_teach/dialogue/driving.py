@@ -297,7 +297,7 @@ class WatchScreen(PlayScreen):
             ),
             _correction(taught, self.correct, app),
             Command(
-                'xm', _('other arbitration'), self._change, _('choose between options differently')
+                'xm', _('other execution'), self._change, _('choose between options differently')
             ),
             Command(
                 'cy',
@@ -311,7 +311,7 @@ class WatchScreen(PlayScreen):
         ]
 
     def mode(self, app: App) -> Iterator[Line]:
-        yield Line(_('Arbitration: {how}.').format(how=_(EXECUTIONS[self.current_execution(app)])))
+        yield Line(_('Execution: {how}.').format(how=_(EXECUTIONS[self.current_execution(app)])))
 
     def running(self, app: App) -> Iterator[Line]:
         world, game = app.world, app.world.game
