@@ -91,7 +91,8 @@ class KnownEnds:
         to those of such an end. If most demonstrations ended with the task over and one did not,
         or vice versa, its end may be a slip and counts only if repeated. Elsewhere few ends are
         ever equal: a state must agree in what most ends share, which is whether the task is over,
-        and the values of the chosen features that are not continuous.
+        and the values of the chosen features that are not continuous. With chance, another end of
+        these counts if it was repeated: a fruit is eaten, but sometimes it is gone before.
 
         :param rows: (N, F) all features of the states.
         :param over: (N,) whether the task is over.
@@ -106,12 +107,14 @@ class KnownEnds:
             times, confirmed = (_times(states, part) for part in np.split(ends, [len(taught)]))
             return (times >= np.where(over == mostly_over, 1, 2)) | (confirmed > 0)
         kinds = [None, *(column.feature.kind for column in chosen)]
+        compared = [kind is not FeatureKind.CONTINUOUS for kind in kinds]
+        states, ends = states[:, compared], ends[:, compared]
         agrees = np.ones(len(rows), dtype=np.bool_)
-        for values, shown_values, kind in zip(states.T, ends.T, kinds):
+        for values, shown_values in zip(states.T, ends.T):
             found, counts = np.unique(shown_values, return_counts=True)
-            if kind is not FeatureKind.CONTINUOUS and counts.max() >= MOST * len(ends):
+            if counts.max() >= MOST * len(ends):
                 agrees &= values == found[counts.argmax()]
-        return agrees
+        return agrees if certain else agrees | (_times(states, ends) > 1)
 
     def called_wrong(self, rows: Rows, over: Flags) -> Flags:
         """
