@@ -15,7 +15,7 @@ from humanopts_learner import Demonstration, judge, learn_option, Thresholds
 from humanopts_learner.demonstrations import GOAL, Kind, version_of
 from humanopts_learner.intervals import Interval, level_of_look, runs_needed
 from humanopts_learner.options.conflicts import advise, find_conflicts
-from humanopts_learner.options.failures import find_failures, repeats
+from humanopts_learner.options.failures import find_failures, KnownEnds, repeats
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import (
     held_out_ends,
@@ -428,3 +428,28 @@ def test_a_slip_is_reported_but_suggests_no_feature(person: Any) -> None:
     (text,) = find_conflicts(data)
     assert advise(data, TAXI) == ()
     assert 'north (4x), west (1x)' in text
+
+
+def test_with_chance_another_end_counts_once_it_was_repeated() -> None:
+    """A fruit is eaten, and sometimes it is gone before."""
+    pacman = make_domain('pacman')
+    rng = generator(3, 'fruit')
+    features = 'fruit_direction', 'ate'
+    fields = {'option_name': 'go to the fruit', 'chosen_features': features}
+    (start,) = pacman.sample_states(rng, 1)
+    step = show(pacman, start, lambda taken, here: None if taken else 'north', rng, **fields)
+    direction, ate = (step.feature_names.index(name) for name in features)
+
+    def ending(*values: float) -> Demonstration:
+        row = list(step.features[-1])
+        row[direction], row[ate] = values
+        return replace(step, features=(step.features[0], tuple(row)))
+
+    eaten, gone = ending(5.0, 5.0), ending(5.0, 0.0)
+    rows, over = gone.feature_rows[-1:], np.array([False])
+    assert not step.terminated
+    for times, counts in enumerate([False, False, True]):
+        known = KnownEnds(pacman, features, [eaten] * 8 + [gone] * times)
+        assert known.like_shown(eaten.feature_rows[-1:], over).all()
+        assert known.like_shown(rows, over).all() == counts
+        assert not known.like_shown(rows, ~over).any()
