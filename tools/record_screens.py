@@ -68,7 +68,7 @@ class Recorder:
                 terminal.read()
                 continue
             before = about
-            self.name_of(about, words)
+            self.keep_for(about)
             if run_to_judge(words):
                 key = key_for(about)
                 terminal.press(ENTER if key == 'enter' else key)
@@ -76,8 +76,8 @@ class Recorder:
                 self.demonstrate(option)
         self.keep('finished')
 
-    def name_of(self, about: str, words: str) -> None:
-        """Keep the screens that the documentation shows."""
+    def keep_for(self, about: str) -> None:
+        """Keep the screen if the documentation shows it."""
         if 'question' in about:
             self.keep('run-question')
         elif 'right' in about:
