@@ -316,7 +316,7 @@ def test_a_key_changes_how_the_machine_plays_within_the_episode_and_a_signal_end
     terminal.press('3')
     terminal.see('Plan with what?')
     terminal.press('2')
-    terminal.see('Arbitration: each option runs to its end.')
+    terminal.see('Execution: each option runs to its end.')
     terminal.press(ENTER)
     terminals.witness(GameState, lambda m: m.step > 0, terminal)
     for execution, words in (
@@ -327,7 +327,7 @@ def test_a_key_changes_how_the_machine_plays_within_the_episode_and_a_signal_end
         said = terminals.witness(
             ExecutionState, lambda m, wanted=execution: m.execution == wanted, terminal
         )
-        terminal.see(f'Arbitration: {words}')
+        terminal.see(f'Execution: {words}')
     last = max(m.sequence for m in terminals.messages if isinstance(m, GameState))
     terminals.witness(GameState, lambda m: m.sequence > last + 2, terminal)
     terminal.press(ESCAPE)
