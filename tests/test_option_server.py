@@ -314,9 +314,9 @@ def test_the_list_is_what_can_be_run(runs: Runs) -> None:
     assert "'p2' taught no option" in unknown.detail
 
 
-def sampling(live: Graph, folder: Path) -> Any:
+def sampling(live: Graph, folder: Path, step_period: float = 0.0) -> Any:
     """Start a game, and an option server that draws what it does; return this."""
-    live.start(GAME)
+    live.start(GAME, step_period=step_period)
     server = live.start(OPTION_SERVER, options_directory=folder, mode='sampled', seed=5)
     live.ready('/game', '/option_server')
     return server
@@ -375,7 +375,7 @@ def test_an_option_server_that_is_ended_answers_who_waits(
     live: Graph, folder: Path, begun: bool
 ) -> None:
     """For the end of a run, or for the state that it is to begin in."""
-    server = sampling(live, folder)
+    server = sampling(live, folder, step_period=0.1)  # a run that is drawn may be short
     if begun:
         goal = Runs(live).begin(CIRCLE)
     else:

@@ -7,8 +7,15 @@ from typing import Any
 
 from graph_support.live import Graph, LEARNER, open_graph, OPTION_SERVER, PLANNER, RECORDER
 from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_interfaces.msg import LearnedOption, PlanResult, PolicyGoal, PolicyResult
+from humanopts_interfaces.msg import (
+    LearnedOption,
+    PlanResult,
+    PolicyGoal,
+    PolicyResult,
+    RecorderStatus,
+)
 from humanopts_learner.option_runs import OPTION_RUNS
+from humanopts_ros.qos import CURRENT
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.export.option_runs import write_option_runs
 import pytest
@@ -39,6 +46,8 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
         graph.start(PLANNER, directory=graph.folder / 'runs')
         graph.ready('/recorder', '/learner', '/option_server', '/planner')
         graph.until(lambda: len({each.name for each in learned}) == 2, 'two options')
+        said = graph.listen(RecorderStatus, 'recorder_status', CURRENT)
+        graph.until(lambda: said and said[-1].complete, 'the recorder')
         yield graph
         courier.kill(signal.SIGKILL)  # as in test_own_robot
 
