@@ -138,18 +138,21 @@ def test_a_robot_is_a_described_world_that_nothing_has_moved(shared_course: Cour
     assert [t for t in robot.twists if t] == []
 
 
-def test_a_key_drives_at_most_at_20_hz_and_then_the_robot_stands(course: Course) -> None:
+def test_a_key_drives_at_20_hz_for_its_time_and_then_the_robot_stands(course: Course) -> None:
     before = course.newest()
     state = course.player.do('forward', PERSON)
     course.graph.until(lambda: course.robot.stands, 'the end of the twist')
     driven = [t for t in course.robot.twists if t]
     assert set(driven) == {0.5}
-    assert 1 < len(driven) <= 5  # 4 or 5, unless the machine is busy
+    assert 1 < len(driven) <= 5  # some may be missed where the machine is busy
     assert (state.step, state.previous_action, state.cut_short) == (1, 'forward', False)
     assert state.reward == -1.0
     assert 0.02 < state.features[0] - before.features[0] < 0.2
-    assert state.state.startswith(f'x {state.features[0]:.4g} m, charger ')
-    assert course.player.controls[-1].holder_id == ME
+    course.robot.twists.clear()
+    with course.graph.hurried(0.2):  # five times as long: none is missed
+        course.player.do('forward', PERSON)
+    course.graph.until(lambda: course.robot.stands, 'the end of the twist')
+    assert len([t for t in course.robot.twists if t]) in (4, 5)
 
 
 def test_a_machine_drives_after_a_person_has_enabled_it(course: Course) -> None:

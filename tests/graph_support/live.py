@@ -217,9 +217,13 @@ class Graph:
         node.destroy_node()
 
     @contextmanager
-    def hurried(self) -> Iterator[None]:
-        """Let every deadline of the nodes of the test's own process be soon over."""
-        self._clock.set_rate(HURRY)
+    def hurried(self, rate: float = HURRY) -> Iterator[None]:
+        """
+        Let every deadline of the nodes of the test's own process be soon over.
+
+        :param rate: s of their clock in a second; below 1, they have time.
+        """
+        self._clock.set_rate(rate)
         yield
         self._clock.set_rate(1.0)
 
