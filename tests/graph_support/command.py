@@ -118,11 +118,17 @@ class Command:
         os.kill(number, how)
 
     def gone(self, seconds: float) -> None:
-        """Wait until nothing is left below it."""
-        deadline = time.monotonic() + seconds
+        """
+        Wait until nothing is left below it.
+
+        :param seconds: at most, without time that the machine gives to other processes.
+        """
+        waited = 0.0
         while left := self.running():
-            assert time.monotonic() < deadline, f'still there: {left}'
+            assert waited < seconds, f'still there: {left}'
+            began = time.monotonic()
             time.sleep(0.05)
+            waited += min(time.monotonic() - began, 0.1)
 
     def __enter__(self) -> 'Command':
         return self

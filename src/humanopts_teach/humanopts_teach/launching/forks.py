@@ -29,6 +29,7 @@ from humanopts_teach.launching import LaunchError, MODULES, USUAL
 from setproctitle import setproctitle
 
 _SERVES = 'HUMANOPTS_FORK_SERVER_OF'  # pid of the launcher, while it starts the server; domain
+_LOOK_SECONDS = 0.1  # how often the server looks for its launcher while it imports
 _MAX_FOLDER = 60  # characters of the folder of a socket; its path is limited to 107
 _context = multiprocessing.get_context('forkserver')
 
@@ -88,6 +89,14 @@ def start(
 def _serve(domain: str) -> None:
     """Import the usual nodes and a domain in the fork server, until its launcher is gone."""
     launch = os.getppid()
+
+    def look(*_: object) -> None:
+        if os.getppid() != launch:  # the command was refused or killed
+            os._exit(0)
+
+    signal.signal(signal.SIGALRM, look)
+    signal.siginterrupt(signal.SIGALRM, False)
+    signal.setitimer(signal.ITIMER_REAL, _LOOK_SECONDS, _LOOK_SECONDS)
     os.setpgid(0, 0)
     null = os.open(os.devnull, os.O_RDWR)
     for standard in (0, 1):
@@ -96,8 +105,6 @@ def _serve(domain: str) -> None:
     atexit.register(os._exit, 0)
     gc.disable()  # imports make no garbage, and take a tenth less time
     for name in USUAL:
-        if os.getppid() != launch:  # the command was refused
-            os._exit(0)
         import_module(MODULES[name])
     import_module('sklearn.tree')  # which learner and lesson need in the first lesson
     with suppress(Exception):  # the nodes will say what is wrong
@@ -105,6 +112,8 @@ def _serve(domain: str) -> None:
             import_module(module)
     gc.freeze()  # shared objects are not visited, and their pages not copied
     gc.enable()
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
 
 def _run(
