@@ -21,6 +21,7 @@ from graph_support.live import (
     OPTION_SERVER,
     PLANNER,
 )
+from graph_support.taxi_person import demonstrate, name_and_answer, OPTIONS, TAXI
 from graph_support.terminal import (
     CTRL_C,
     ENTER,
@@ -31,9 +32,6 @@ from graph_support.terminal import (
     Terminal,
     WIDTH,
 )
-from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_env.domains.taxi import landmark_cells, TaxiState
-from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import (
     ActionRefusal,
     ControlState,
@@ -48,8 +46,6 @@ import pytest
 
 PICKUP = 'go to passenger and pickup'
 KEYS, MEDIAN = 50, 150.0  # that are measured; ms that a key may take to the screen
-TAXI = make_domain('taxi')
-OPTION = reference_options(TAXI)[PICKUP]
 
 
 def open_terminal(graph: Graph, *arguments: str) -> Terminal:
@@ -119,17 +115,6 @@ def terminals(live: Graph) -> Iterator[Terminals]:
         terminal.close()
 
 
-def name_and_answer(terminal: Terminal) -> None:
-    """Name the option and answer every question, up to the first start."""
-    terminal.see('1 Teach a new option')
-    terminal.press('1', *PICKUP, ENTER)
-    for feature in TAXI.features:
-        terminal.see(f"Does the '{PICKUP}' option depend on {feature.question}?")
-        terminal.press('y' if feature.name in OPTION.features else 'n')
-    terminal.see('Enter shows start 1.')
-    terminal.press(ENTER)
-
-
 def show(terminal: Terminal, *numbers: int) -> None:
     """Demonstrate as the yardstick means it, from what is on the screen, until runs are judged."""
     for number in numbers:
@@ -139,13 +124,7 @@ def show(terminal: Terminal, *numbers: int) -> None:
         )
         if judges(terminal):
             return
-        state = state_shown(terminal.words())
-        keys = []
-        while OPTION.can_start(state) and not OPTION.ends(state):
-            action = OPTION.optimal_actions(state)[0]
-            keys.append(TAXI.actions[action].key)
-            state = TAXI.step(state, action, generator(0)).state
-        terminal.press(*([*keys, ENTER] if keys else ['n']))  # without looking up
+        demonstrate(terminal, OPTIONS[PICKUP])
 
 
 def judges(terminal: Terminal) -> bool:
@@ -165,24 +144,10 @@ def judge(terminal: Terminal) -> None:
     terminal.until(ends, 'the end of the lesson', 60.0)
 
 
-def state_shown(words: str) -> TaxiState:
-    """Read the state from the features beside the board."""
-    found = re.search(
-        r'taxi row (\d), taxi col (\d), passenger row (\d), passenger col (\d), '
-        r'passenger in taxi (yes|no)',
-        words,
-    )
-    assert found is not None, words
-    row, col, *cell = (int(part) for part in found.groups()[:4])
-    cells = list(landmark_cells(5, 5).values())
-    place = 4 if found.group(5) == 'yes' else cells.index((cell[0], cell[1]))
-    return TaxiState(row, col, place, destination=0 if place else 1)  # it is not shown
-
-
 def test_an_option_is_taught_by_key_presses_left_resumed_and_run(terminals: Terminals) -> None:
     terminals.start_all(learn=GOAL)
     terminal = terminals.sit_down()
-    name_and_answer(terminal)
+    name_and_answer(terminal, PICKUP)
     show(terminal, 1)
     terminal.see('next: start 2 ')
     terminal.press('q')
@@ -219,7 +184,7 @@ def test_a_key_takes_the_wheel_from_the_machine_and_a_cut_connection_ends_the_te
 ) -> None:
     terminals.start_all(step_period=0.3)
     terminal = terminals.sit_down()
-    name_and_answer(terminal)
+    name_and_answer(terminal, PICKUP)
     show(terminal, 1, 2)
     terminal.see('next: start 3 ')
     terminal.press(ESCAPE)

@@ -14,11 +14,8 @@ import time
 from typing import Any
 
 from graph_support.live import free_domain_id
+from graph_support.taxi_person import demonstrate, name_and_answer, OPTIONS
 from graph_support.terminal import ENTER, ESCAPE, HEIGHT, key_for, run_to_judge, Terminal, WIDTH
-from humanopts_env.domains.reference import ReferenceOption
-from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_env.domains.taxi import ABOARD, landmark_cells, Taxi, TaxiState
-from humanopts_env.seeding import generator
 from rich.color import Color
 from rich.console import Console
 from rich.style import Style
@@ -37,8 +34,6 @@ class Recorder:
     def __init__(self, folder: Path, domain_id: int) -> None:
         arguments = '-m', 'humanopts_teach', 'teach', 'taxi', '--out', str(folder)
         self.terminal = Terminal(arguments, domain_id, partial(time.sleep, 0.005))
-        self.domain = make_domain('taxi')
-        assert isinstance(self.domain, Taxi)
         self.screens: dict[str, Console] = {}
 
     def keep(self, name: str) -> None:
@@ -49,18 +44,8 @@ class Recorder:
 
     def teach(self, name: str) -> None:
         """Teach an option from the menu until it is learned."""
-        terminal, option = self.terminal, reference_options(self.domain)[name]
-        terminal.see('Teach a new option')
-        terminal.press('1', *name)
-        terminal.see(f'> {name}')
-        self.keep('name')
-        terminal.press(ENTER)
-        for feature in self.domain.features:
-            terminal.see(f"Does the '{name}' option depend on {feature.question}?")
-            self.keep('question')
-            terminal.press('y' if feature.name in option.features else 'n')
-        terminal.see('Enter shows start 1.')
-        terminal.press(ENTER)
+        terminal = self.terminal
+        name_and_answer(terminal, name, self.keep)
         before = ''
         while 'This lesson is finished.' not in (words := terminal.words()):
             about = run_to_judge(words) or ''.join(re.findall(r'next: start \d+ ', words))
@@ -73,7 +58,7 @@ class Recorder:
                 key = key_for(about)
                 terminal.press(ENTER if key == 'enter' else key)
             else:
-                self.demonstrate(option)
+                demonstrate(terminal, OPTIONS[name])
         self.keep('finished')
 
     def keep_for(self, about: str) -> None:
@@ -86,30 +71,6 @@ class Recorder:
             self.keep('start')
         elif about == f'next: start {SHOWN_AT} ':
             self.keep('criteria')
-
-    def demonstrate(self, option: ReferenceOption) -> None:
-        """Demonstrate from what is on the screen, or say not here."""
-        state, keys = self.state(), list[str]()
-        while option.can_start(state) and not option.ends(state):
-            action = option.optimal_actions(state)[0]
-            keys.append(self.domain.actions[action].key)
-            state = self.domain.step(state, action, generator(0)).state
-        self.terminal.press(*([*keys, ENTER] if keys else ['n']))
-
-    def state(self) -> TaxiState:
-        """Read the state from the features beside the board; what is hidden does not matter."""
-        found = dict(re.findall(r'(\w+ (?:row|col|in taxi)) (\w+)', self.terminal.words()))
-        cells = list(landmark_cells(self.domain.rows, self.domain.cols).values())
-
-        def place(who: str, hidden: int) -> int:
-            if f'{who} row' not in found:
-                return hidden
-            return cells.index((int(found[f'{who} row']), int(found[f'{who} col'])))
-
-        aboard = found['passenger in taxi'] == 'yes'
-        passenger = ABOARD if aboard else place('passenger', 0)
-        destination = place('destination', 1 if passenger == 0 else 0)
-        return TaxiState(int(found['taxi row']), int(found['taxi col']), passenger, destination)
 
     def play(self) -> None:
         """Let the machine plan and play."""

@@ -54,6 +54,14 @@ assert env.unwrapped.P[observation]
 """
 
 
+# Runs a command where a folder is mounted read-only, in a name space of its own.
+READ_ONLY = (
+    *('unshare', '--user', '--map-root-user', '--mount', 'sh', '-ec'),
+    'mount --bind "$1" "$1"; mount -o remount,bind,ro "$1"; shift; exec "$@"',
+    'sh',
+)
+
+
 class CheckError(Exception):
     """A check failed; the message gives the reason."""
 
@@ -286,6 +294,11 @@ def check_all(dist: Path, work: Path) -> None:
         names = 'AMENT_PREFIX_PATH', 'PYTHONPATH', 'LD_LIBRARY_PATH'
         sourced = {'ROS_DISTRO': 'humble', **dict.fromkeys(names, str(other))}
         whole.run('humanopts', 'demo', 'taxi', '--episodes', 1, '--out', work / 'other', **sourced)
+    with check('its commands where site-packages is read-only'):
+        program, report = whole.folder / 'bin/humanopts', work / 'read-only'
+        demo = program, 'demo', 'taxi', '--episodes', 1, '--out', report
+        run(*READ_ONLY, whole.folder, *demo, PATH=os.environ['PATH'])
+        whole.run('humanopts', 'bag', 'check', report / 'bag')
 
 
 def check_clone(work: Path) -> None:

@@ -82,14 +82,19 @@ class Terminal:
             self._lines = []
 
     def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> None:
-        """Read, and let the other nodes work, until a condition holds."""
-        deadline = time.monotonic() + seconds
+        """
+        Read, and let the other nodes work, until a condition holds.
+
+        :param seconds: at most, without time that the machine gives to other processes.
+        """
+        waited = 0.0
         while not condition():
-            assert time.monotonic() < deadline, f'timed out waiting for {what}:\n{self.text()}'
+            assert waited < seconds, f'timed out waiting for {what}:\n{self.text()}'
             looked = time.monotonic()
             while time.monotonic() < looked + LOOK:
                 self._spin()
                 self.read(0.0)
+            waited += min(time.monotonic() - looked, 2 * LOOK)
 
     def see(self, text: str, seconds: float = 30.0) -> None:
         """Read until a text is on the screen, however it is wrapped."""

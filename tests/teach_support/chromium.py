@@ -14,9 +14,9 @@ from typing import Any
 
 from graph_support.command import Command
 from graph_support.live import free_domain_id
+from graph_support.taxi_person import OPTIONS, state_shown, TAXI
 from graph_support.terminal import key_for, run_to_judge
-from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_env.domains.taxi import landmark_cells, TaxiState
+from humanopts_env.domains.taxi import TaxiState
 import pytest
 from selenium import webdriver
 from selenium.common.exceptions import StaleElementReferenceException, WebDriverException
@@ -26,7 +26,6 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
 DESKTOP, PHONE = (1280, 800), (390, 844)
-TAXI = make_domain('taxi')
 PICKUP = 'go to passenger and pickup'
 ARROWS = {
     'up': Keys.ARROW_UP,
@@ -231,7 +230,7 @@ class Person:
 
     def __init__(self, window: Window, address: str, code: str, *, keys: bool) -> None:
         self.window, self.code, self.keys = window, code, keys
-        self.option = reference_options(TAXI)[PICKUP]
+        self.option = OPTIONS[PICKUP]
         window.driver.get(f'{address}/{code}')
 
     def name_option(self, name: str = PICKUP) -> None:
@@ -260,11 +259,6 @@ class Person:
         else:
             self.window.click(button)
 
-    def values(self) -> dict[str, int]:
-        """Return the features of the lesson that are shown, by name; others are not numbers."""
-        found = re.findall(r'(\w+ \w+) (\d+)\b', self.features())
-        return {name.replace(' ', '_'): int(value) for name, value in found}
-
     def features(self) -> str:
         """Return the text of the features; empty while the page draws them anew."""
         try:
@@ -275,12 +269,7 @@ class Person:
 
     def state(self) -> TaxiState:
         """Return the state that is shown; what is hidden is anything."""
-        known = self.values()
-        cells = list(landmark_cells(5, 5).values())
-        aboard = 'passenger in taxi yes' in self.features()
-        cell = known.get('passenger_row', -1), known.get('passenger_col', -1)
-        passenger = 4 if aboard else cells.index(cell)
-        return TaxiState(known['taxi_row'], known['taxi_col'], passenger, 0)
+        return state_shown(self.features())
 
     def step(self) -> None:
         """Take the best step, and see that it is taken."""
