@@ -236,10 +236,12 @@ def successes_by_chance(
     Return where an option succeeds, if actions have several outcomes.
 
     From each state, the chance that its run reaches an end like the shown ones, and the number of
-    steps if it does, are compared with those of the best policy: the chance must be almost as
-    large, with at most twice the steps. Both follow from the transitions, as does the return. An
-    end that was shown much less often than another, or only called right, may be an accident: the
-    best policy does not aim at it. Nor does it pass through ends and "not here" states.
+    steps if it does, are compared with those of the best policy by the domain's discount: the
+    chance must be almost as large, with at most twice the steps. Both follow from the transitions,
+    as does the return. They are not discounted: that its successes are fast does not make up for
+    failures. An end that was shown much less often than another may be an accident, and counts for
+    neither. Nor does the best policy aim at an end that was only called right, or pass through
+    ends and "not here" states.
     """
     table, over, tabular = domain.transitions(), domain.over(), tabulate(option, domain)
     candidate = reachable(domain) & ~over & tabular.initiation
@@ -249,9 +251,10 @@ def successes_by_chance(
     refused = _ends(chosen, [d for d in shown(demonstrations) if not d.actions])
     known, possible = _ends_of(option, domain, demonstrations)
     barred = over | (times > 0) | known | (_times(states, refused) > 0)
-    aim = known & (times >= ACCIDENT * times.max())
+    often = times >= ACCIDENT * times.max()
+    aim, meant = known & often, often | (times == 0)
     goal = aim[table.successor] & (table.probability > 0)
-    _, optimal = best_paths(table, goal, ~barred, _gamma(domain))
+    _, optimal = best_paths(table, goal, ~barred, min(domain.gamma, MAX_GAMMA))
     best, fewest, most = _expected(domain, optimal.argmax(axis=1), barred, aim)
 
     def compared(right: Flags) -> tuple[Flags, Floats]:
@@ -260,7 +263,7 @@ def successes_by_chance(
         fast = (steps <= TOO_LONG * fewest) | (best == 0)
         return candidate & (chance > 0) & (chance >= AS_LIKELY * best) & fast, most - worth
 
-    return Chances(candidate, compared(known)[0], *compared(possible))
+    return Chances(candidate, compared(known & meant)[0], *compared(possible & meant))
 
 
 def _expected(
@@ -269,7 +272,7 @@ def _expected(
     """
     Return the chance that a run reaches a right end, its mean steps if it does, and its return.
 
-    All are discounted, (S,).
+    All are (S,), and discounted by ``MAX_GAMMA`` only, so that every run ends.
 
     :param action: (S,) of its policy.
     :param ends: (S,) where it ends, besides where the task is over.
@@ -277,25 +280,20 @@ def _expected(
     from scipy.sparse import csc_array, eye  # slow to import
     from scipy.sparse.linalg import splu
 
-    table, states, gamma = domain.transitions(), np.arange(domain.n_states), _gamma(domain)
+    table, states = domain.transitions(), np.arange(domain.n_states)
     taken = states, action
     successor, probability = table.successor[taken], table.probability[taken]
     ended = (ends | domain.over())[successor] | table.terminated[taken]
-    arrives = gamma * (probability * (ended & right[successor])).sum(axis=1)
+    arrives = MAX_GAMMA * (probability * (ended & right[successor])).sum(axis=1)
     origin = np.broadcast_to(states[:, None], successor.shape)
     goes_on = csc_array(
         ((probability * ~ended).ravel(), (origin.ravel(), successor.ravel())),
         shape=(domain.n_states, domain.n_states),
     )
-    solve = splu(eye(domain.n_states, format='csc') - gamma * goes_on).solve
+    solve = splu(eye(domain.n_states, format='csc') - MAX_GAMMA * goes_on).solve
     chance: Floats = solve(arrives)
     steps = solve(chance) / np.maximum(chance, np.finfo(float).tiny)
     return chance, steps, solve((probability * table.reward[taken]).sum(axis=1))
-
-
-def _gamma(domain: EnumerableDomain) -> float:
-    """Return the discount of planned policies, below 1, so that every run ends."""
-    return min(domain.gamma, MAX_GAMMA)
 
 
 def _best_return(domain: EnumerableDomain, distance: NDArray[np.int32], nearer: Flags) -> Floats:
