@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 MEANT = 3  # demonstrations of a detour after which it is asked about; fewer may be slips
 REFUSALS = 3  # "not here" answers required as evidence for a leaf outside I
-AS_LIKELY = 0.95  # a start succeeds at this share of the largest possible chance of a right end
+AS_LIKELY = 0.95  # a start succeeds at this share of the best policy's chance of a right end
 ACCIDENT = 0.25  # an end shown less often than this share of the commonest one may be an accident
 TOO_LONG = 2  # length of a path, relative to the shortest one
 
@@ -70,7 +70,7 @@ class Chances:
     """The chances of an option from each of the S states, if actions have several outcomes."""
 
     candidate: Flags  # (S,) as in ``Failures``
-    right: Flags  # (S,) reaches an end like the shown ones as surely as is possible, and as fast
+    right: Flags  # (S,) reaches an end like the shown ones about as surely and fast as can be
     possible: Flags  # (S,) the same, if all ends of a planned policy are right
     shortfall: Floats  # (S,) expected return of the best policy - that of the option
 
