@@ -240,7 +240,7 @@ def test_chance_and_other_ends_do_not_keep_a_right_option_from_being_learned(
 
 
 @pytest.mark.parametrize('lesson', [23, 57])  # in both, a slip was shown; in 57, as an end
-def test_a_policy_that_often_slips_through_another_doorway_is_not_right(lesson: int) -> None:
+def test_a_lesson_goes_on_while_its_policy_slips_through_another_doorway(lesson: int) -> None:
     case = {'world': 'Rooms', 'method': 'trees', 'taught by': 'careful'}
     (row,) = judging.give_lesson({**case, 'lesson': lesson, 'seed': 2})
     assert row['learned']

@@ -148,6 +148,8 @@ def test_a_key_drives_at_20_hz_for_its_time_and_then_the_robot_stands(course: Co
     assert (state.step, state.previous_action, state.cut_short) == (1, 'forward', False)
     assert state.reward == -1.0
     assert 0.02 < state.features[0] - before.features[0] < 0.2
+    assert state.state.startswith(f'x {state.features[0]:.4g} m, charger ')
+    assert course.player.controls[-1].holder_id == ME
     course.robot.twists.clear()
     with course.graph.hurried(0.2):  # five times as long: none is missed
         course.player.do('forward', PERSON)
