@@ -148,8 +148,12 @@ class Window:
         """Press keys on the keyboard."""
         ActionChains(self.driver).send_keys(*keys).perform()
 
-    def click(self, words: str) -> None:
-        """Press a button, by its words or its name."""
+    def click(self, words: str, still: Callable[[], bool] = lambda: True) -> None:
+        """
+        Press a button, by its words or its name.
+
+        :param still: whether it is wanted; buttons also go by themselves.
+        """
 
         def clicked() -> bool:
             for button in self.driver.find_elements(By.TAG_NAME, 'button'):
@@ -164,7 +168,7 @@ class Window:
                     return False
             return False
 
-        self.until(clicked, f'a button {words}')
+        self.until(lambda: clicked() or not still(), f'a button {words}')
 
     def tap(self, element: Any) -> None:
         """Touch an element for a moment."""
@@ -252,12 +256,12 @@ class Person:
             yes = feature.name in self.option.features
             self.act('y' if yes else 'n', 'yes' if yes else 'no')
 
-    def act(self, key: str, button: str) -> None:
-        """Press a key, or the button for it."""
+    def act(self, key: str, button: str, still: Callable[[], bool] = lambda: True) -> None:
+        """Press a key, or the button for it as long as it is wanted."""
         if self.keys:
             self.window.press({**ARROWS, 'enter': Keys.ENTER}.get(key, key))
         else:
-            self.window.click(button)
+            self.window.click(button, still)
 
     def features(self) -> str:
         """Return the text of the features; empty while the page draws them anew."""
@@ -305,11 +309,15 @@ class Person:
         """Answer questions about runs, and take the exam: all runs are right."""
         buttons = {'y': 'yes', 'r': 'right', 'enter': 'begin the run'}
         asked = ''
+
+        def still() -> bool:  # the next run also begins by itself
+            return run_to_judge(self.window.text()) == asked
+
         while 'This lesson is finished.' not in (found := self.window.text()):
             time.sleep(0.1)
             if (about := run_to_judge(found)) not in ('', asked):
                 asked, key = about, key_for(about)
-                self.act(key, buttons[key])
+                self.act(key, buttons[key], still)
 
 
 @pytest.fixture

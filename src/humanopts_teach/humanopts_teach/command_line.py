@@ -234,7 +234,7 @@ class LaunchOptions(DomainOptions):
         option(
             'SHARE',
             'smallest share of starts from which an option must reach an end like a demonstrated '
-            'one; default: 0.9, which means 0.975 where every start is known (0.95 with chance)',
+            'one; default: 0.95, which means 0.975 where every start is known, without chance',
             share,
         ),
     ] = None

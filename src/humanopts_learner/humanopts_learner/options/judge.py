@@ -7,9 +7,8 @@ that it can.
 
 *Success* is the share of starts from which the option reaches an end like a demonstrated one
 (``KnownEnds``). If all states can be listed, it is exact: the option runs from all starts, or its
-chances are computed where actions have several outcomes. Only a quarter of the starts that the
-threshold allows may then fail, or half of them with chance, since some are right by mistake or
-outside I. If the world can only be simulated or replayed, fresh starts are drawn the way the task
+chances are computed where actions have several outcomes. Without chance, only half of the starts
+that the threshold allows may then fail, since others are right by mistake. If the world can only be simulated or replayed, fresh starts are drawn the way the task
 draws them, and the lower limit of the share decides (Wilson 1927). A world that can only be acted
 in gives *agreement* instead: the share of held-out demonstrations that the option would repeat.
 Without chance, *imitation* is required, too: from the start of a demonstration, the option must
@@ -118,7 +117,7 @@ ROUNDING = 1e-9  # reward units
 class Thresholds:
     """The values that meet the criteria."""
 
-    success: float = 0.9  # smallest share of starts, 0..1
+    success: float = 0.95  # smallest share of starts, 0..1
     return_share: float = 0.1  # largest shortfall of the return, as a share of its range
     initiation_error: float = 0.05  # largest balanced error, 0..1
     termination_error: float = 0.1  # largest share of demonstrations, 0..1
@@ -353,10 +352,9 @@ def _success(
     found = [flags[known.candidate] for flags in (known.right, known.possible)]
     count = len(found[0])
     value, possible_value = (float(flags.mean()) if count else 0.0 for flags in found)
-    room = (1 - threshold) / (
-        2 if isinstance(known, Chances) else 4
-    )  # some starts are right by mistake
-    criterion = Criterion.of(SUCCESS, value, 1 - room, None, count, possible_value)
+    if isinstance(known, Failures):
+        threshold = (1 + threshold) / 2  # some starts are right by mistake
+    criterion = Criterion.of(SUCCESS, value, threshold, None, count, possible_value)
     return criterion, EVERY_START
 
 
