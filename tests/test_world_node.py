@@ -210,8 +210,8 @@ def test_an_action_server_that_never_answers_is_given_up_at_the_deadline(tmp_pat
     with open_graph(tmp_path) as graph:
         course = Course(graph)
         course.robot.accepts = None
-        course.begin('go', PERSON)
         began = time.monotonic()
+        course.begin('go', PERSON)
         assert course.ended(2.5).cut_short
         assert time.monotonic() - began > 1.8
         assert isinstance(course.player.do('forward', PERSON), GameState)

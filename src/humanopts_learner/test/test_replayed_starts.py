@@ -191,7 +191,7 @@ def test_an_option_that_always_ended_with_the_task_over_has_no_other_end() -> No
     for name in (INITIATION, TERMINATION):  # neither could be wrong
         assert (criteria[name].value, bool(criteria[name].obstacle)) == (None, True)
     assert [option.name for option in before] == [FETCH]
-    assert found.evidence == SAMPLED_STARTS
+    assert (found.evidence, criteria[SUCCESS].threshold) == (SAMPLED_STARTS, 0.95)
     alone = judge(demos, KEYS, Thresholds(), 0)  # without the other option, nobody has the key
     assert alone.criteria[0].value == 0.0
     assert criteria[SUCCESS].value is not None

@@ -234,7 +234,8 @@ class LaunchOptions(DomainOptions):
         option(
             'SHARE',
             'smallest share of starts from which an option must reach an end like a demonstrated '
-            'one; default: 0.95, which means 0.975 where every start is known, without chance',
+            'one; default: 0.95. Half as many may fail where every start is known, and twice as '
+            'many where actions have several outcomes',
             share,
         ),
     ] = None

@@ -11,6 +11,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
+from humanopts_learner.summary import AGREEMENT
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
 from humanopts_teach.evaluation.tables import option_row, OPTIONS, table
 from humanopts_teach.lesson.in_process import teach
@@ -22,13 +23,16 @@ import pytest
 
 CARELESS = 0.6  # of steps are wrong
 LAKE = 'gymnasium:FrozenLake-v1'
+FOOD = 'go to the closest food'
 FETCH, SOUTH = 'go to passenger and pickup', 'south-west room to south doorway'
 
 
-def shown(domain: str, option: str, error_rate: float, seed: int) -> tuple[Demonstration, ...]:
+def shown(
+    domain: str, option: str, error_rate: float, seed: int, budget: int = 40
+) -> tuple[Demonstration, ...]:
     """Return what a simulated teacher shows until the lesson ends, after 40 starts at most."""
     teacher = TeacherSettings((option,), error_rate=error_rate, seed=seed)
-    return teach(make_domain(domain), teacher, LessonRules(seed=seed, budget=40)).demonstrations
+    return teach(make_domain(domain), teacher, LessonRules(seed=seed, budget=budget)).demonstrations
 
 
 def crossings(error_rate: float, seed: int, count: int = 25) -> list[Demonstration]:
@@ -67,6 +71,20 @@ def test_a_lesson_of_a_careless_teacher_does_not_end_with_all_criteria_met() -> 
 def test_crossing_the_frozen_lake_carelessly_does_not_meet_all_criteria() -> None:
     """A threshold of two reward units would be more than the lake can pay."""
     assert not any(met(LAKE, crossings(CARELESS, seed), seed) for seed in range(6))
+    success = judge(crossings(0.0, 1, 3), make_domain(LAKE), Thresholds(), 1).criteria[0]
+    assert success.threshold == pytest.approx(0.95)
+
+
+def test_ends_that_chance_leads_to_do_not_hide_that_most_steps_were_wrong() -> None:
+    pacman = make_domain('pacman')
+
+    def agrees(error_rate: float) -> bool:
+        few = shown('pacman', FOOD, error_rate, 1, budget=12)
+        criteria = judge(few, pacman, Thresholds(), 1).criteria
+        return {criterion.name: criterion.met for criterion in criteria}[AGREEMENT]
+
+    assert agrees(0.0)
+    assert not agrees(CARELESS)
 
 
 @pytest.mark.parametrize(('domain', 'option', 'most'), [('taxi', FETCH, 21), ('rooms', SOUTH, 12)])

@@ -7,10 +7,13 @@ that it can.
 
 *Success* is the share of starts from which the option reaches an end like a demonstrated one
 (``KnownEnds``). If all states can be listed, it is exact: the option runs from all starts, or its
-chances are computed where actions have several outcomes. Without chance, only half of the starts
-that the threshold allows may then fail, since others are right by mistake. If the world can only be simulated or replayed, fresh starts are drawn the way the task
-draws them, and the lower limit of the share decides (Wilson 1927). A world that can only be acted
-in gives *agreement* instead: the share of held-out demonstrations that the option would repeat.
+chances are computed where actions have several outcomes. If the world can only be simulated or
+replayed, fresh starts are drawn the way the task draws them, and the lower limit of the share
+decides (Wilson 1927). If it is exact, only half of the starts that the threshold allows may fail,
+since others are right by mistake; with chance, twice as many may (``_required``). A world that can
+only be acted in gives *agreement* instead: the share of held-out demonstrations that the option
+would repeat. If runs are only sampled, with chance, both are required: ends that chance leads to
+do not show that most demonstrated steps were wrong.
 Without chance, *imitation* is required, too: from the start of a demonstration, the option must
 reach the end of that demonstration, and not only an end of some demonstration.
 
@@ -219,6 +222,8 @@ def judge(
         criteria.append(success)
         if without_chance(domain):
             criteria.append(_imitation(look, domain, in_sample))
+        elif known is None:
+            criteria.append(_agreement(look, domain, held_out, thresholds.exam))
         criteria.append(_return(look, domain, thresholds, held_out, known))
     else:
         criteria.append(_agreement(look, domain, held_out, thresholds.exam))
@@ -344,6 +349,7 @@ def _success(
 
     :param known: outcomes from all states; None: they cannot be listed.
     """
+    threshold = _required(threshold, exact=known is not None, chance=not without_chance(domain))
     if known is None:
         right = _from_fresh_starts(look, domain, threshold)
         share = Interval.of_share(right, look.level)
@@ -352,10 +358,16 @@ def _success(
     found = [flags[known.candidate] for flags in (known.right, known.possible)]
     count = len(found[0])
     value, possible_value = (float(flags.mean()) if count else 0.0 for flags in found)
-    if isinstance(known, Failures):
-        threshold = (1 + threshold) / 2  # some starts are right by mistake
     criterion = Criterion.of(SUCCESS, value, threshold, None, count, possible_value)
     return criterion, EVERY_START
+
+
+def _required(share: float, *, exact: bool, chance: bool) -> float:
+    """Return the share of starts from which an option must succeed."""
+    room = 1 - share
+    room *= 0.5 if exact else 1.0  # some starts are right by mistake
+    room *= 2.0 if chance else 1.0  # bad luck also makes a right option fail
+    return max(1 - room, 0.0)
 
 
 def _from_fresh_starts(look: _Look, domain: Domain, threshold: float) -> Flags:
@@ -453,7 +465,7 @@ def _agreement(
     look: _Look, domain: ActableDomain, held_out: HeldOut | None, exam: int
 ) -> Criterion:
     """
-    Return the criterion of agreement, in a domain that can only be acted in.
+    Return the criterion of agreement, in a domain that can only be acted in or sampled.
 
     An option would repeat a demonstration if it can start there, ends with it, and takes most of
     its actions: runs with several wrong actions may still reach their end. For the same reason,

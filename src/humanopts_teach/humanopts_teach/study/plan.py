@@ -89,7 +89,6 @@ Task = Annotated[Label, AfterValidator(partial(short, most=MAX_TASK))]
 Given = Annotated[Text | None, BeforeValidator(_given)]  # None: the key is missing
 Whole = Annotated[int, Field(ge=0, lt=2**31)]
 Minutes = Annotated[float, Field(ge=0, lt=MAX_MINUTES)]
-GivenName = Annotated[Name | None, BeforeValidator(_given)]
 Url = Annotated[Text | None, BeforeValidator(_given), AfterValidator(_as_url)]
 UrlOrCode = Annotated[Text | None, BeforeValidator(_given), AfterValidator(_as_url_or_code)]
 
