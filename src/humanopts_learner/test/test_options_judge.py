@@ -243,11 +243,11 @@ def test_what_is_held_out_has_no_part_in_what_is_learned(
         assert option_to_json(found, []) == option_to_json(learn_option(others, TAXI, 0), [])
 
 
-def test_half_as_many_starts_may_fail_if_all_are_known_and_twice_as_many_by_chance(
+def test_fewer_starts_may_fail_if_all_are_known_and_more_by_chance(
     fetching: Shown, plain_taxi: Any
 ) -> None:
     """A world that is replayed and the frozen lake, which has both, are in other modules."""
-    for domain, share in ((TAXI, 0.975), (plain_taxi, 0.9)):
+    for domain, share in ((TAXI, 0.975), (plain_taxi, 0.925)):
         success = named(judge(fetching[:3], domain, Thresholds(), 0))[SUCCESS]
         assert success.threshold == pytest.approx(share)
 

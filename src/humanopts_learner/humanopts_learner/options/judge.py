@@ -9,11 +9,11 @@ that it can.
 (``KnownEnds``). If all states can be listed, it is exact: the option runs from all starts, or its
 chances are computed where actions have several outcomes. If the world can only be simulated or
 replayed, fresh starts are drawn the way the task draws them, and the lower limit of the share
-decides (Wilson 1927). If it is exact, only half of the starts that the threshold allows may fail,
-since others are right by mistake; with chance, twice as many may (``_required``). A world that can
-only be acted in gives *agreement* instead: the share of held-out demonstrations that the option
-would repeat. If runs are only sampled, with chance, both are required: ends that chance leads to
-do not show that most demonstrated steps were wrong.
+decides (Wilson 1927). If it is exact, fewer starts may fail than the threshold allows, since
+others are right by mistake; with chance, more may (``_required``). A world that can only be acted
+in gives *agreement* instead: the share of held-out demonstrations that the option would repeat. If
+runs are only sampled, with chance, both are required: ends that chance leads to do not show that
+most demonstrated steps were wrong.
 Without chance, *imitation* is required, too: from the start of a demonstration, the option must
 reach the end of that demonstration, and not only an end of some demonstration.
 
@@ -364,10 +364,10 @@ def _success(
 
 def _required(share: float, *, exact: bool, chance: bool) -> float:
     """Return the share of starts from which an option must succeed."""
-    room = 1 - share
-    room *= 0.5 if exact else 1.0  # some starts are right by mistake
-    room *= 2.0 if chance else 1.0  # bad luck also makes a right option fail
-    return max(1 - room, 0.0)
+    room = 1.0
+    room -= 0.5 * exact  # some starts are right by mistake
+    room += 0.5 * chance  # bad luck also makes a right option fail
+    return max(1 - room * (1 - share), 0.0)
 
 
 def _from_fresh_starts(look: _Look, domain: Domain, threshold: float) -> Flags:
