@@ -4,9 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from graph_support.scripted import show
+from humanopts_env.domains.base import Action, Feature
 from humanopts_env.domains.described import DescribedDomain
+from humanopts_env.domains.replayed_domain import ReplayedDomain, World
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_env.seeding import generator
 from humanopts_learner import Demonstration, learn_option, LearnedOption
 from humanopts_learner.demonstrations import check_demonstration, GOAL, Kind, version_of
 from humanopts_learner.options.checks import Check, CheckKind, MAX_CHECKS, next_check
@@ -15,12 +19,13 @@ import numpy as np
 import pytest
 
 TAXI = Taxi()
+END = 40  # the last cell of a street
 FETCH, EITHER = 'go to passenger and pickup', 'pickup/dropoff'
 LOCATIONS = (0, 0), (0, 4), (4, 0), (4, 3)  # of passengers and destinations 0..3
 Shown = Sequence[Demonstration]
 
 
-def answered(check: Check, demos: Shown, *, right: bool) -> Demonstration:
+def answered(check: Check, demos: Shown, domain: Any = TAXI, *, right: bool) -> Demonstration:
     """Return the judged run of a question, which must be one by the rules."""
     number = 1 + sum(demo.kind is Kind.JUDGED for demo in demos)
     newest = [demo for demo in demos if demo.kind is not Kind.JUDGED][-1]
@@ -38,7 +43,7 @@ def answered(check: Check, demos: Shown, *, right: bool) -> Demonstration:
         right=right,
         option_version=version_of(demos),
     )
-    check_demonstration(run, TAXI)
+    check_demonstration(run, domain)
     return run
 
 
@@ -143,6 +148,53 @@ def test_a_value_that_was_never_shown_is_asked_about(person: Any) -> None:
     missing = sorted({0.0, 1.0, 2.0, 3.0, 4.0} - seen)
     asked = sorted({col for c in values for col in (c.features[0][1],) if col in missing})
     assert [bool(missing), asked] == [bool(values), missing]
+
+
+class Walk:
+    """A street with a red sign at one of its cells; west of it begins every other walk."""
+
+    def reset(self, seed: int) -> None:
+        self.cell = int(np.random.default_rng(seed).integers(END))
+
+    def step(self, action: int) -> tuple[float, bool]:
+        self.cell = min(max(self.cell + 2 * action - 1, 0), END)
+        return -1.0, False
+
+    def features(self) -> Sequence[float]:
+        return [self.cell == END // 2, self.cell == END]
+
+
+class Street(ReplayedDomain):
+    name, gamma, max_steps = 'street', 0.9, 100
+    parameters: dict[str, int] = {}
+    features = (
+        Feature.nominal('sign', 'what the sign is', ('plain', 'red')),
+        Feature.nominal('end', 'whether the street ends', ('no', 'yes')),
+    )
+    actions = (Action('west', 'w', 'west'), Action('east', 'e', 'east'))
+
+    def make_world(self) -> World:
+        return Walk()
+
+
+def test_a_run_through_a_value_that_was_never_shown_is_asked_about() -> None:
+    """As a start it is rare."""
+    street, demos, rng = Street(), list[Demonstration](), generator(0, 'street')
+    fields: dict[str, Any] = {'option_name': 'walk', 'chosen_features': ('sign', 'end')}
+    for seed in range(20):
+        start = street.decode(f'seed {seed} actions -')
+        walk = show(street, start, lambda _, at: None if at.features[1] else 'east', rng, **fields)
+        if len(walk.actions) < END // 2:
+            demos.append(replace(walk, number=len(demos) + 1))
+    option = learn_option(demos, street, 0)
+    check = next_check(option, street, demos, rng)
+    assert check is not None
+    assert check.kind is CheckKind.VALUE
+    assert 'You never showed it with sign red.' in check.text
+    signs = [row[0] for row in check.features]
+    assert (signs[0], signs[-1], sum(signs)) == (0, 0, 1)
+    yes = answered(check, demos, street, right=True)
+    assert next_check(option, street, [*demos, yes], rng) is None
 
 
 def test_a_start_that_differs_in_what_was_always_the_same_is_asked_about(person: Any) -> None:

@@ -234,8 +234,8 @@ class LaunchOptions(DomainOptions):
         option(
             'SHARE',
             'smallest share of starts from which an option must reach an end like a demonstrated '
-            'one; default: 0.95. Fewer may fail where every start is known, more where actions have '
-            'several outcomes',
+            'one; default: 0.95. Fewer may fail where every start is known, more where actions '
+            'have several outcomes',
             share,
         ),
     ] = None

@@ -30,9 +30,10 @@ FETCH, SOUTH = 'go to passenger and pickup', 'south-west room to south doorway'
 def shown(
     domain: str, option: str, error_rate: float, seed: int, budget: int = 40
 ) -> tuple[Demonstration, ...]:
-    """Return what a simulated teacher shows until the lesson ends, after 40 starts at most."""
+    """Return what a simulated teacher shows until the lesson ends."""
     teacher = TeacherSettings((option,), error_rate=error_rate, seed=seed)
-    return teach(make_domain(domain), teacher, LessonRules(seed=seed, budget=budget)).demonstrations
+    rules = LessonRules(seed=seed, budget=budget)
+    return teach(make_domain(domain), teacher, rules).demonstrations
 
 
 def crossings(error_rate: float, seed: int, count: int = 25) -> list[Demonstration]:

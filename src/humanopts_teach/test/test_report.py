@@ -41,7 +41,7 @@ from teach_support.bags import judged_run
 pytestmark = pytest.mark.heavy
 
 SETTINGS = EvaluationSettings(
-    seed=5, thresholds=Thresholds(0.875, 0.1875, 0.0625, 0.125), teacher_error_rate=0.02
+    seed=5, thresholds=Thresholds(0.9375, 0.1875, 0.0625, 0.125), teacher_error_rate=0.02
 )
 TAUGHT = ('go to passenger and pickup', 'go to destination and dropoff')
 FRAMES = (
@@ -233,7 +233,7 @@ def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) 
     assert '4,321' in page
     assert 'demo/bag' in page
     assert all(each.option.name in page for each in data.evaluation.options)
-    assert 'success ≥ 0.875, return ≤ 0.1875, initiation ≤ 0.0625' in page
+    assert 'success ≥ 0.9375, return ≤ 0.1875, initiation ≤ 0.0625' in page
 
 
 def test_the_words_say_what_was_played_what_was_lost_and_what_differs(data: ReportData) -> None:

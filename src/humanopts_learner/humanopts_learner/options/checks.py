@@ -20,9 +20,9 @@ from humanopts_env.domains.base import ActableDomain, Domain, FeatureKind, is_en
 from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.formulas import feature_columns, FeatureColumn, plain_name, stacked
 from humanopts_env.domains.tabular import reachable
-from humanopts_env.games import feature_rows, games_at
+from humanopts_env.games import feature_rows, Games, games_at
 from humanopts_learner.demonstrations import Demonstration, judged, shown, version_of
-from humanopts_learner.execution import Execution, Fixed, RowOptions
+from humanopts_learner.execution import Execution, Fixed, RowOptions, SeenRows
 from humanopts_learner.option import Option
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
 from humanopts_learner.options.failures import find_failures, KnownEnds, uncertain
@@ -106,8 +106,9 @@ def next_check(
     asked = sum(run.option_version == version and not run.exam for run in answers)
     if asked >= MAX_CHECKS or not any(demo.actions for demo in demos):
         return None
-    starts = _starts(option, domain, demonstrations, rng, others)
-    questions = _Questions(option, domain, starts, [*demos, *right], answers, rng)
+    known = [*demos, *right]
+    starts = _starts(option, domain, demonstrations, known, rng, others)
+    questions = _Questions(option, domain, starts, known, answers, rng)
     kinds = [questions.new_values(), questions.guesses()]
     if asked < MAX_ENDS:
         kinds.insert(0, questions.new_ends(0.0 if every_end else UNASKED))
@@ -122,6 +123,7 @@ class _Starts:
 
     state: Callable[[int], Any]  # by index
     rows: Rows  # (N, F)
+    passed: Rows  # (N, F) rows, or of a run the first with a nominal value that was never shown
     runs: Flags  # (N,) in I, and the run ends by beta or with the task over
     last: Rows  # (N, F) features where it ends
     over: Flags  # (N,) whether the task is over there
@@ -176,36 +178,34 @@ class _Questions:
         )
 
     def new_values(self) -> Iterator[Check]:
-        """Ask about the start with the commonest values that were never shown."""
+        """Ask about a run from or through the commonest values that were never shown."""
         runs = [run for run in self.known if run.actions]
         seen = np.concatenate([run.feature_rows for run in runs])
         first = np.stack([run.feature_rows[0] for run in runs])
         names = {feature.name for feature in self.domain.features}.difference(self.option.features)
-        for kind, columns, rows, words in (
-            (CheckKind.VALUE, feature_columns(self.domain, self.option.features), seen, 'it'),
-            (CheckKind.CONSTANT, feature_columns(self.domain, names), first, 'a start'),
-        ):
-            if kind is CheckKind.CONSTANT:
-                part = [_parts(column, self.starts.rows)(first) for column in columns]
-                columns = [c for c, values in zip(columns, part) if len(np.unique(values)) == 1]
-            yield from self._unlike(kind, columns, rows, words)
+        chosen, starts = feature_columns(self.domain, self.option.features), self.starts
+        yield from self._unlike(CheckKind.VALUE, chosen, starts.passed, seen, 'it')
+        columns = feature_columns(self.domain, names)
+        part = [_parts(column, starts.rows)(first) for column in columns]
+        constant = [c for c, values in zip(columns, part) if len(np.unique(values)) == 1]
+        yield from self._unlike(CheckKind.CONSTANT, constant, starts.rows, first, 'a start')
 
     def _unlike(
-        self, kind: CheckKind, columns: Sequence[FeatureColumn], known: Rows, what: str
+        self, kind: CheckKind, columns: Sequence[FeatureColumn], rows: Rows, known: Rows, what: str
     ) -> Iterator[Check]:
-        """Ask about a start with values that are in no known rows (M, F)."""
+        """Ask about a start whose row (N, F) has values that are in no known rows (M, F)."""
         starts = self.starts
-        share = np.zeros((len(columns), len(starts.rows)))  # starts with the same new value
+        share = np.zeros((len(columns), len(rows)))  # starts with the same new value
         for number, column in enumerate(columns):
-            part = _parts(column, starts.rows)
-            here = part(starts.rows)
+            part = _parts(column, rows)
+            here = part(rows)
             new = starts.runs & ~np.isin(here, part(known))
             _, group, size = np.unique(here[new], return_inverse=True, return_counts=True)
             share[number, new] = size[group]
 
         def text(at: int) -> str:
             column = columns[int(share[:, at].argmax())]
-            value = f'{plain_name(column.feature.name)} {column.text(starts.rows[at])}'
+            value = f'{plain_name(column.feature.name)} {column.text(rows[at])}'
             return f'You never showed {what} with {value}. Here it would stop after {{}}. Right?'
 
         total = share.sum(axis=0)
@@ -314,15 +314,21 @@ def _starts(
     option: LearnedOption,
     domain: Domain,
     demonstrations: Sequence[Demonstration],
+    known: Sequence[Demonstration],
     rng: np.random.Generator,
     others: Sequence[Option],
 ) -> _Starts:
-    """Run an option from all states of a deterministic domain, or else from a sample."""
+    """
+    Run an option from all states of a deterministic domain, or else from a sample.
+
+    :param known: as in ``_Questions``.
+    """
     if is_deterministic(domain):
         found, rows = find_failures(option, domain, demonstrations), domain.feature_table()
         runs = rollouts_from_everywhere(domain, tabulate(option, domain))
         return _Starts(
             domain.state_at,
+            rows,
             rows,
             found.candidate & ~found.stuck,
             runs.rows,
@@ -339,7 +345,21 @@ def _starts(
     states, askable = drawn.states * times, np.tile(drawn.askable, times)
     rows = feature_rows(domain, states)
     seeds = rng.integers(2**31, size=len(states))
-    at = np.flatnonzero(option.can_start(rows))[:RUNS]
+    at, passed = np.flatnonzero(option.can_start(rows))[:RUNS], rows.copy()
+    there = np.concatenate([run.feature_rows for run in known if run.actions])
+    values = [
+        (column, np.unique(column.values(there)))
+        for column in feature_columns(domain, option.features)
+        if column.feature.kind is FeatureKind.NOMINAL
+    ]
+    waits = np.ones(len(at), dtype=np.bool_)  # for a value that was never shown
+
+    def on_step(step: int, execution: Execution[SeenRows], seen: SeenRows, games: Games) -> None:
+        new = waits[execution.games]
+        new &= np.any([~np.isin(each.values(seen.rows), some) for each, some in values], axis=0)
+        first = execution.games[new]
+        passed[at[first]], waits[first] = seen.rows[new], False
+
     none = np.zeros(len(states), dtype=np.intp)
     ended, over, unknown, steps, last = none > 0, none > 0, none > 0, none.copy(), rows.copy()
     ran = run_once(
@@ -350,6 +370,7 @@ def _starts(
         np.full(len(at), option.max_steps),
         [np.random.default_rng(seed) for seed in seeds[at].tolist()],
         loops_of(domain, [option], len(at), None),
+        on_step if values else None,
     )
     ends = KnownEnds(domain, option.features, demonstrations)
     unlike = ~ends.like_shown(ran.rows, ran.over)
@@ -358,7 +379,7 @@ def _starts(
     unknown[at] = reached & unlike
     outside = askable & ~option.can_start(rows)
     parts = ended, last, over, steps, unknown, outside, none > 0, none, seeds
-    return _Starts(states.__getitem__, rows, *parts)
+    return _Starts(states.__getitem__, rows, passed, *parts)
 
 
 def _parts(column: FeatureColumn, rows: Rows) -> Callable[[Rows], Floats]:

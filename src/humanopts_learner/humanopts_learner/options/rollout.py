@@ -1,6 +1,6 @@
 """Rollouts: options run to termination by the rules of their domain, without a graph."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
@@ -13,9 +13,17 @@ from humanopts_env.domains.base import (
     is_enumerable,
 )
 from humanopts_env.domains.replayed_domain import ReplayedDomain
-from humanopts_env.games import Chance, games_at
+from humanopts_env.games import Chance, Games, games_at
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import Fixed, Loops, play, Played, RowOptions
+from humanopts_learner.execution import (
+    Execution,
+    Fixed,
+    Loops,
+    play,
+    Played,
+    RowOptions,
+    SeenRows,
+)
 from humanopts_learner.option import Option
 from humanopts_learner.options.learned_option import (
     LearnedOption,
@@ -102,6 +110,7 @@ def run_once(
     limits: Ints,
     chance: Chance,
     loops: Loops | None = None,
+    on_step: Callable[[int, Execution[SeenRows], SeenRows, Games], object] | None = None,
 ) -> Rollouts:
     """
     Run an option from each start state.
@@ -109,6 +118,7 @@ def run_once(
     :param which: (N,) index of the option of each run.
     :param limits: (N,) maximum number of steps per run, 1 or more.
     :param loops: as in ``play``.
+    :param on_step: as in ``play``; not called where tables say how options run.
     :raises DomainError: the task is over in a start state.
     """
     games = games_at(domain, starts)
@@ -120,7 +130,9 @@ def run_once(
     if is_deterministic(domain) and len(learned) == len(options):
         table = OptionTable([tabulate(option, domain) for option in learned])
         return Rollouts.of(play(games, table, Fixed(which), chance, longest, **more), final)
-    played = play(games, RowOptions(options), Fixed(which), chance, longest, **more)
+    played = play(
+        games, RowOptions(options), Fixed(which), chance, longest, on_step=on_step, **more
+    )
     return Rollouts.of(played, final)
 
 
