@@ -250,6 +250,10 @@ def test_fewer_starts_may_fail_if_all_are_known_and_more_by_chance(
     for domain, share in ((TAXI, 0.975), (plain_taxi, 0.925)):
         success = named(judge(fetching[:3], domain, Thresholds(), 0))[SUCCESS]
         assert success.threshold == pytest.approx(share)
+    without = named(judge(fetching[:3], plain_taxi, Thresholds(0.0), 0))[SUCCESS]
+    assert (without.threshold, without.met) == (0.0, True)
+    assert without.value is not None
+    assert without.value > 0  # measured all the same
 
 
 def test_thresholds_decide_what_is_met_and_order_does_not_matter(fetching: Shown) -> None:

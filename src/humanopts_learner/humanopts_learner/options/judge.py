@@ -102,6 +102,7 @@ from numpy.typing import NDArray
 MIN_HELD_OUT = 3  # trajectories, for held-out criteria
 CUT_OFF = 2  # maximum length of a held-out run, relative to its demonstration
 LONGEST = 4  # maximum length of a run from a fresh start, relative to the longest demonstration
+FEWEST = 20  # runs from fresh starts, even if the threshold needs fewer
 SPARE = 1.5  # runs from fresh starts, relative to the fewest that could meet the threshold
 AMPLE = 4  # the same, where many games are played side by side
 MAX_RUNS = 2000  # from fresh starts
@@ -378,7 +379,8 @@ def _from_fresh_starts(look: _Look, domain: Domain, threshold: float) -> Flags:
     some to spare, unless the limit cannot reach the threshold any more.
     """
     option, data, level = look.option, look.data, look.level
-    fewest = MAX_RUNS if threshold == 1 else min(runs_needed(threshold, level), MAX_RUNS)
+    needed = MAX_RUNS if threshold == 1 else runs_needed(threshold, level)
+    fewest = min(max(needed, FEWEST), MAX_RUNS)
     side_by_side = isinstance(domain, HasGames) and not isinstance(domain, ReplayedDomain)
     total = min(math.ceil((AMPLE if side_by_side else SPARE) * fewest), MAX_RUNS)
     longest = LONGEST * max(len(demo.actions) for demo in data.trajectories)
