@@ -148,12 +148,14 @@ class Window:
         """Press keys on the keyboard."""
         ActionChains(self.driver).send_keys(*keys).perform()
 
-    def click(self, words: str, still: Callable[[], bool] = lambda: True) -> None:
+    def click(self, words: str, still: Callable[[], bool] = lambda: True) -> bool:
         """
         Press a button, by its words or its name.
 
         :param still: whether it is wanted; buttons also go by themselves.
+        :return: whether it was pressed.
         """
+        pressed = False
 
         def clicked() -> bool:
             for button in self.driver.find_elements(By.TAG_NAME, 'button'):
@@ -168,7 +170,13 @@ class Window:
                     return False
             return False
 
-        self.until(lambda: clicked() or not still(), f'a button {words}')
+        def done() -> bool:
+            nonlocal pressed
+            pressed = clicked()
+            return pressed or not still()
+
+        self.until(done, f'a button {words}')
+        return pressed
 
     def tap(self, element: Any) -> None:
         """Touch an element for a moment."""
@@ -256,12 +264,12 @@ class Person:
             yes = feature.name in self.option.features
             self.act('y' if yes else 'n', 'yes' if yes else 'no')
 
-    def act(self, key: str, button: str, still: Callable[[], bool] = lambda: True) -> None:
-        """Press a key, or the button for it as long as it is wanted."""
+    def act(self, key: str, button: str, still: Callable[[], bool] = lambda: True) -> bool:
+        """Press a key, or the button for it as long as it is wanted; return whether it was."""
         if self.keys:
             self.window.press({**ARROWS, 'enter': Keys.ENTER}.get(key, key))
-        else:
-            self.window.click(button, still)
+            return True
+        return self.window.click(button, still)
 
     def features(self) -> str:
         """Return the text of the features; empty while the page draws them anew."""
@@ -308,16 +316,16 @@ class Person:
     def judge(self) -> None:
         """Answer questions about runs, and take the exam: all runs are right."""
         buttons = {'y': 'yes', 'r': 'right', 'enter': 'begin the run'}
-        asked = ''
+        asked = about = ''
 
         def still() -> bool:  # the next run also begins by itself
-            return run_to_judge(self.window.text()) == asked
+            return run_to_judge(self.window.text()) == about
 
         while 'This lesson is finished.' not in (found := self.window.text()):
             time.sleep(0.1)
-            if (about := run_to_judge(found)) not in ('', asked):
-                asked, key = about, key_for(about)
-                self.act(key, buttons[key], still)
+            about = run_to_judge(found)
+            if about not in ('', asked) and self.act(key := key_for(about), buttons[key], still):
+                asked = about
 
 
 @pytest.fixture
