@@ -208,19 +208,17 @@ def judge(
     enough = len(demos) >= MIN_HELD_OUT
     held_out = HeldOut.of(data, domain, seed) if enough else None
     gain, mean_return, ends = UNKNOWN, math.nan, (0, 0, 0)
+    known: Failures | Chances | None = None
     if can_simulate(domain):
-        known: Failures | Chances | None = None
         if is_deterministic(domain):
             known = find_failures(option, domain, demonstrations)
         elif is_enumerable(domain):
             known = successes_by_chance(option, domain, demonstrations)
-        success, evidence = _success(look, domain, thresholds.success, known)
         keys = [f'in-sample {demo.uuid}' for demo in demos]
         starts = [domain.decode(demo.states[0]) for demo in demos]
         in_sample = rollouts(option, domain, starts, seed, keys)
         gain = Interval.of_difference(in_sample.total_reward, returns)
         mean_return = float(in_sample.total_reward.mean())
-        criteria.append(success)
         if without_chance(domain):
             criteria.append(_imitation(look, domain, in_sample))
         elif known is None:
@@ -250,6 +248,13 @@ def judge(
     ):
         found = Criterion.of(name, error, threshold, count=len(demos))
         criteria.append(replace(found, obstacle=obstacle))
+    more = more_needed(criteria, len(demos))
+    if can_simulate(domain):
+        decides = all(criterion.met or criterion.obstacle for criterion in criteria)
+        success, evidence = _success(look, domain, thresholds.success, known, decides)
+        criteria.insert(0, success)
+        if decides or not success.undecided:
+            more = more_needed(criteria, len(demos))
     needless = find_needless(held_out.of_fold, data, held_out.folds, domain) if held_out else ()
     summary = replace(
         unmeasured(data.demonstrations),
@@ -261,7 +266,7 @@ def judge(
         ended_never=ends[2],
         mean_return_demonstrations=float(returns.mean()),
         mean_return_policy=mean_return,
-        more_needed=more_needed(criteria, len(demos)),
+        more_needed=more,
         conflicts=find_conflicts(data),
         advice=(*advise(data, domain), *needless),
         gain=gain,
@@ -343,16 +348,21 @@ def likely_range(more: int) -> tuple[int, int]:
 
 
 def _success(
-    look: _Look, domain: Domain, threshold: float, known: Failures | Chances | None
+    look: _Look,
+    domain: Domain,
+    threshold: float,
+    known: Failures | Chances | None,
+    decides: bool,
 ) -> tuple[Criterion, str]:
     """
     Return the criterion of success, and its evidence.
 
     :param known: outcomes from all states; None: they cannot be listed.
+    :param decides: whether all other criteria are met.
     """
     threshold = _required(threshold, exact=known is not None, chance=not without_chance(domain))
     if known is None:
-        right = _from_fresh_starts(look, domain, threshold)
+        right = _from_fresh_starts(look, domain, threshold, decides)
         share = Interval.of_share(right, look.level)
         mean, low = (share.mean, share.low) if len(right) else (0.0, 0.0)
         return Criterion.of(SUCCESS, mean, threshold, low, len(right)), SAMPLED_STARTS
@@ -371,16 +381,17 @@ def _required(share: float, *, exact: bool, chance: bool) -> float:
     return max(1 - room * (1 - share), 0.0)
 
 
-def _from_fresh_starts(look: _Look, domain: Domain, threshold: float) -> Flags:
+def _from_fresh_starts(look: _Look, domain: Domain, threshold: float, decides: bool) -> Flags:
     """
     Return (N,): whether the option reaches an end like a demonstrated one from fresh starts.
 
     The fewest runs that meet the threshold suffice if all of them are right. Otherwise there are
-    some to spare, unless the limit cannot reach the threshold any more.
+    some to spare, unless the limit cannot reach the threshold any more. A few runs show how it
+    does as long as they do not decide, because another criterion is not met.
     """
     option, data, level = look.option, look.data, look.level
     needed = MAX_RUNS if threshold == 1 else runs_needed(threshold, level)
-    fewest = min(max(needed, FEWEST), MAX_RUNS)
+    fewest = min(max(needed, FEWEST), MAX_RUNS) if decides else FEWEST
     side_by_side = isinstance(domain, HasGames) and not isinstance(domain, ReplayedDomain)
     total = min(math.ceil((AMPLE if side_by_side else SPARE) * fewest), MAX_RUNS)
     longest = LONGEST * max(len(demo.actions) for demo in data.trajectories)
