@@ -24,6 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 SIGNS = string.digits + string.ascii_letters  # one per action in a text
+SIGN_OF = SIGNS.encode().ljust(256)  # tables of ``bytes.translate``: runs have many actions
+ACTION_OF = bytes.maketrans(SIGNS.encode(), bytes(range(len(SIGNS))))
 MAX_WORLDS = 256  # kept at the same time; those of games side by side are extra
 MAX_WALK, GAP = 200, 10  # actions before a sampled state; states of a walk per sampled one
 SEEDS = 10**9
@@ -103,12 +105,12 @@ class ReplayedDomain(Domain[History], ABC):
 
     def encode(self, state: History) -> str:
         """Return the state as one line, such as ``seed 7 actions 0012``."""
-        signs = ''.join(SIGNS[action] for action in state.actions)
+        signs = bytes(state.actions).translate(SIGN_OF).decode()
         return f'seed {state.seed} actions {signs or "-"}'
 
     def decode(self, text: str) -> History:
         match = STATE.fullmatch(text)
-        actions = tuple(map(SIGNS.index, match[2].strip('-'))) if match else ()
+        actions = tuple(match[2].strip('-').encode().translate(ACTION_OF)) if match else ()
         if match is None or max(actions, default=0) >= len(self.actions):
             raise StateError(
                 f'{text!r} is not a state of {self.name}; one reads "seed 7 actions 0012"'

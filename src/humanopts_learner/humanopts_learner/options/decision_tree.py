@@ -21,6 +21,7 @@ from pydantic import Field
 
 Formula = Annotated[Text, Field(pattern=r'x\[')]
 LEAF = -1  # value of left, right and feature in a leaf
+FEW_PATHS = 50  # up to which each row and tree on its own takes less time than arrays
 FEW_NODES = 25  # up to which all tests of a tree take less time than the paths of the rows
 
 
@@ -159,14 +160,15 @@ class Tree:
         if X.ndim != 2 or X.shape[1] != self.n_features:
             raise TreeError(f'the tree takes rows of {self.n_features} features, not {X.shape}')
         values, n_trees = X.astype(np.float32, copy=False), len(self.roots)
-        if len(X) == 1:  # in a live run
-            row, ways, found = values[0].tolist(), self._ways, list[int]()
-            for place in self.roots:
-                while place in ways:
-                    left, right, feature, threshold = ways[place]
-                    place = right if row[feature] > threshold else left
-                found.append(place)
-            return np.array([found])
+        if len(X) == 1 or len(X) * n_trees <= FEW_PATHS:
+            ways, found = self._ways, list[int]()
+            for row in values.tolist():
+                for place in self.roots:
+                    while place in ways:
+                        left, right, feature, threshold = ways[place]
+                        place = right if row[feature] > threshold else left
+                    found.append(place)
+            return np.array(found, dtype=np.intp).reshape(-1, n_trees)
         if len(self.left) <= FEW_NODES and n_trees == 1:  # backwards, with all rows at once
             leaf: list[Any] = [*range(len(self.left))]
             for at, left, right, feature, threshold in self._tests:
@@ -193,12 +195,10 @@ class Tree:
 
     def most_probable(self, X: NDArray[np.float32]) -> Ints:
         """Return (N,): the position of the most likely class; the first on ties."""
-        best: Ints
         if len(self.roots) > 1:
-            best = self.probabilities(X).argmax(axis=1)
-        else:
-            best = self.shares.argmax(axis=1).take(self.leaves(X)[:, 0])
-        return best
+            best: Ints = self.probabilities(X).argmax(axis=1)
+            return best
+        return self._best.take(self.leaves(X)[:, 0])
 
     @property
     def depth(self) -> int:
@@ -226,6 +226,12 @@ class Tree:
     def tested(self) -> Ints:
         """Indices of the encoded features that the tree tests, ascending."""
         return np.unique(self.feature[self.left != LEAF]).astype(np.intp)
+
+    @cached_property
+    def _best(self) -> Ints:
+        """(N,) position of the most likely class of each node."""
+        best: Ints = self.shares.argmax(axis=1)
+        return best
 
     @cached_property
     def shares(self) -> Floats:

@@ -162,12 +162,13 @@ def teach(
         starts, run = SeededStarts(domain, rules), None
         lesson = Lesson(domain, store, starts, clock=lambda: seconds, today=lambda: '')
         while True:
+            view = lesson.view
             try:
-                act = person.next_act(lesson.view, newest, running=run is not None)
+                act = person.next_act(view, newest, running=run is not None)
             except TeacherError as error:
                 cut_short = str(error)
                 break
-            watch(lesson.view, newest, list(summaries.values()), act)
+            watch(view, newest, list(summaries.values()), act)
             seconds += SECONDS.get(type(act), 0.0)
             acts[type(act)] += 1
             if isinstance(act, Finish):

@@ -130,7 +130,8 @@ class Lesson:
     @property
     def view(self) -> LessonView:
         """The data that terminals show."""
-        return replace(self._facts, text=' '.join(filter(None, (self._notice, self._advice))))
+        facts = self._facts
+        return replace(facts, text=' '.join(filter(None, (self._notice, self._advice(facts)))))
 
     @property
     def _facts(self) -> LessonView:
@@ -369,12 +370,11 @@ class Lesson:
         self._examination.update(self._option, settled, self._book.history.options)
         self._next.look(self._option)
 
-    @property
-    def _advice(self) -> str:
+    def _advice(self, facts: LessonView) -> str:
         settled, option = self.feedback.settled(self._option), self._option
         wrong = option.wrong_run if option is not None else None
         missing = None if can_simulate(self._domain) else self._next.missing
-        return advice(self._facts, settled, wrong, self._examination.stage, missing)
+        return advice(facts, settled, wrong, self._examination.stage, missing)
 
     # Handlers of requests; they raise RefusalError to refuse a request.
 
@@ -474,7 +474,7 @@ class Lesson:
         if option is None or phase not in ((Phase.EXAM,) if request.exam else _READY) or spent:
             spent = spent and phase in _READY
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
-            raise RefusalError(status, self._advice)
+            raise RefusalError(status, self._advice(self._facts))
         state, seed = self._next.choose(option, self._book.history.options, request)
         self._attempt = Attempt(state, request.watch or request.exam, request.exam)
         return _ok('the start state is chosen', state=state, seed=seed)
@@ -543,7 +543,7 @@ class Lesson:
         """Add demonstrations that were recorded elsewhere, all or none."""
         option, phase = self._option, self.phase
         if option is None or phase not in (*_READY, Phase.LEARNING):
-            raise _wrong_phase(self._advice)
+            raise _wrong_phase(self._advice(self._facts))
         left = self._starts.rules.budget - len(option.demonstrations)
         if len(request.demonstrations) > left:
             detail = f'{len(request.demonstrations)} are more than the budget leaves: {left}'
