@@ -7,7 +7,13 @@ from humanopts_env.domains.base import Action, action_index, Feature
 from humanopts_env.domains.replayed_domain import History, ReplayedDomain, World
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.checks import next_check
-from humanopts_learner.options.judge import judge, taught_before, Thresholds
+from humanopts_learner.options.judge import (
+    FEWEST,
+    judge,
+    more_needed,
+    taught_before,
+    Thresholds,
+)
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.starts import (
@@ -20,7 +26,14 @@ from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import HUMAN, PlanRequest, REPLAYED_STEPS
 from humanopts_learner.planning.sampled_plan import SampledPlan
 from humanopts_learner.planning.stuck import Trial, TRIALS, try_plan
-from humanopts_learner.summary import INITIATION, SAMPLED_STARTS, SUCCESS, TERMINATION
+from humanopts_learner.summary import (
+    Criterion,
+    INITIATION,
+    RETURN,
+    SAMPLED_STARTS,
+    SUCCESS,
+    TERMINATION,
+)
 import numpy as np
 import pytest
 
@@ -198,6 +211,20 @@ def test_an_option_that_always_ended_with_the_task_over_has_no_other_end() -> No
     assert criteria[SUCCESS].value > 0
     other = [replace(d, terminated=False, chosen_features=('cell', 'key')) for d in demos]
     assert learn_option(other, KEYS, 0).ends(rows.astype(float)).any()
+
+
+def test_there_are_few_runs_until_success_alone_decides() -> None:
+    missing, decides = (
+        judge(taught(FETCH, *map(begins_in, cells))[1], KEYS, Thresholds(), 0)
+        for cells in ((0, 9, 3), (0, 9, 3, 7))
+    )
+    assert [each.name for each in missing.criteria if not each.met] == [SUCCESS, RETURN]
+    assert missing.criteria[0].count == FEWEST
+    assert missing.criteria[0].undecided
+    only_return = Criterion.of(RETURN, missing.criteria[2].value, 0.1)
+    assert missing.more_needed == more_needed([only_return], 3)  # few runs say nothing about it
+    assert decides.criteria_met
+    assert decides.criteria[0].count > FEWEST
 
 
 def test_the_same_seed_draws_the_same_state() -> None:
