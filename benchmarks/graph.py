@@ -32,17 +32,18 @@ ROUNDS = 200
 
 @pytest.fixture(scope='module')
 def game(request: pytest.FixtureRequest) -> Iterator['Game']:
-    """Launch some nodes and the bare peer; no other node reads the states."""
+    """Launch some nodes and the bare peer; one node alone reads the states."""
     with own_place() as folder:
         setup = Setup('taxi', folder, teach=False, record=False)
         shown = demonstrations(Taxi())
         option = learn_option(shown, Taxi(), 1)
         save_option(setup.options, option, ())
         starts = {len(demo.actions): demo.states[0] for demo in shown}
-        specs = [spec for spec in processes(setup) if spec.name in request.param]
+        names = request.param
+        specs = [spec for spec in processes(setup) if spec.name in names]
         with (
             launched([*specs, own_spec('bench_peer')], folder) as launcher,
-            closing(Game(launcher, option.name, starts)) as client,
+            closing(Game(launcher, option.name, starts, 'option_server' not in names)) as client,
         ):
             yield client
 
@@ -50,7 +51,14 @@ def game(request: pytest.FixtureRequest) -> Iterator['Game']:
 class Game(Client):
     """Start episodes and take steps, in the game or with the bare peer."""
 
-    def __init__(self, launcher: Launcher, option: str, starts: dict[int, str]) -> None:
+    def __init__(
+        self, launcher: Launcher, option: str, starts: dict[int, str], steps: bool
+    ) -> None:
+        """
+        Wait for the nodes.
+
+        :param steps: whether to read the states and send commands.
+        """
         super().__init__(launcher, 'bench_game')
         self.option, self.launcher, self._starts = option, launcher, starts
         missing = set(launcher.node_names)
@@ -64,7 +72,7 @@ class Game(Client):
         self.until(lambda: not missing and self._resets.service_is_ready(), 'the nodes')
         self.episode = self.step_number = 0
         self._at: dict[str, tuple[int, int]] = {}  # episode and step of the newest state
-        self._commands = {prefix: self._connect(prefix) for prefix in ('', 'bare/')}
+        self._commands = {prefix: self._connect(prefix) for prefix in ('', 'bare/') if steps}
 
     def _connect(self, prefix: str) -> Any:
         def keep(state: GameState) -> None:
@@ -82,7 +90,8 @@ class Game(Client):
         reply = self.ask(self._resets.call_async(request), 'reset_game')
         assert reply.status == ResetGame.Response.STATUS_OK, reply.detail
         self.episode, self.step_number = reply.episode, 0
-        self.until(lambda: self._at.get('') == (self.episode, 0), 'the first state')
+        if self._commands:
+            self.until(lambda: self._at.get('') == (self.episode, 0), 'the first state')
 
     def step(self, prefix: str) -> None:
         """Send a command and wait for the resulting state."""
