@@ -185,6 +185,7 @@ class Runs:
     steps: Ints  # (R,) length of the run, k
     total: Floats  # (R,) sum of r[i], i = 0..k-1
     discounted: Floats  # (R,) sum of gamma**i * r[i]
+    last_reward: Floats  # (R,) r[k-1]
     reached: Flags  # (R,) the termination condition holds
     over: Flags  # (R,) the task is over
     stopped: Flags  # (R,) the policy stopped it
@@ -283,6 +284,7 @@ class Execution(Generic[S]):
             self._ran.take(at),
             self.total.take(at),
             self.discounted.take(at),
+            steps.reward.take(at),
             reached.take(at),
             steps.over.take(at),
             stopped,

@@ -373,7 +373,7 @@ def _starts(
         on_step if values else None,
     )
     ends = KnownEnds(domain, option.features, demonstrations)
-    unlike = ~ends.like_shown(ran.rows, ran.over)
+    unlike = ~ends.like_shown(ran.rows, ran.over, ran.last_reward)
     reached = ran.reached & ~(ran.over & unlike & (not without_chance(domain)))  # bad luck: no end
     ended[at], over[at], steps[at], last[at] = reached, ran.over, ran.steps, ran.rows
     unknown[at] = reached & unlike

@@ -83,7 +83,7 @@ class KnownEnds:
     features: Sequence[str]  # names of the chosen features
     demonstrations: Sequence[Demonstration]  # of one option, with the judged runs
 
-    def like_shown(self, rows: Rows, over: Flags) -> Flags:
+    def like_shown(self, rows: Rows, over: Flags, last_reward: Floats | None = None) -> Flags:
         """
         Return (N,): whether states look like an end that was shown or called right.
 
@@ -91,11 +91,13 @@ class KnownEnds:
         to those of such an end. If most demonstrations ended with the task over and one did not,
         or vice versa, its end may be a slip and counts only if repeated. Elsewhere few ends are
         ever equal: a state must agree in what most ends share, which is whether the task is over,
-        and the values of the chosen features that are not continuous. With chance, another end of
-        these counts if it was repeated: a fruit is eaten, but sometimes it is gone before.
+        the sign of the reward for which it is, and the values of the chosen features that are not
+        continuous. With chance, another end of these counts if it was repeated: a fruit is eaten,
+        but sometimes it is gone before.
 
         :param rows: (N, F) all features of the states.
         :param over: (N,) whether the task is over.
+        :param last_reward: (N,) of the last step; None: not compared.
         """
         chosen, taught, states = self._compared(rows, over)
         certain = without_chance(self.domain)  # with chance, a right exam run may end anywhere
@@ -109,6 +111,10 @@ class KnownEnds:
         kinds = [None, *(column.feature.kind for column in chosen)]
         compared = [kind is not FeatureKind.CONTINUOUS for kind in kinds]
         states, ends = states[:, compared], ends[:, compared]
+        if last_reward is not None:
+            shown_rewards = [run.rewards[-1] for run in (*taught, *right)]
+            states = np.column_stack([states, over * np.sign(last_reward)])
+            ends = np.column_stack([ends, ends[:, 0] * np.sign(shown_rewards)])
         agrees = np.ones(len(rows), dtype=np.bool_)
         for values, shown_values in zip(states.T, ends.T):
             found, counts = np.unique(shown_values, return_counts=True)

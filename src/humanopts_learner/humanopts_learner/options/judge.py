@@ -412,7 +412,8 @@ def _from_fresh_starts(look: _Look, domain: Domain, threshold: float, decides: b
             rng,
             loops_of(domain, [option], count, None),
         )
-        right = ends.like_shown(runs.rows, runs.over) & ~ends.called_wrong(runs.rows, runs.over)
+        right = ends.like_shown(runs.rows, runs.over, runs.last_reward)
+        right &= ~ends.called_wrong(runs.rows, runs.over)
         found = np.append(found, runs.reached & right)
         best = np.append(found, np.ones(total - len(found), dtype=np.bool_))
         enough = len(found) == (fewest if found.all() else total)
@@ -434,7 +435,7 @@ def _imitation(look: _Look, domain: Domain, in_sample: Rollouts) -> Criterion:
         same &= (stacked(data.chosen, in_sample.rows) == stacked(data.chosen, ends)).all(axis=1)
     else:
         ends_known = KnownEnds(domain, data.features, look.judged)
-        same &= ends_known.like_shown(in_sample.rows, in_sample.over)
+        same &= ends_known.like_shown(in_sample.rows, in_sample.over, in_sample.last_reward)
     wrong = [run for run in judged(look.judged) if not run.right]
     again = any(repeats(look.option, domain, run) for run in wrong)
     value = 1.0 if again else 1 - float(same.mean())

@@ -50,6 +50,7 @@ class Rollouts:
     """The outcomes of running an option from each of N start states."""
 
     total_reward: Floats  # (N,) undiscounted
+    last_reward: Floats  # (N,) of the last step
     steps: Ints  # (N,)
     reached: Flags  # (N,) beta holds or the task is over; else cut off
     over: Flags  # (N,) the task is over
@@ -60,7 +61,8 @@ class Rollouts:
         """Return the outcomes of games that ended with their first run."""
         runs, order = played.runs, np.argsort(played.runs.game)
         reached = (runs.reached | runs.over)[order]
-        return cls(runs.total[order], runs.steps[order], reached, runs.over[order], rows)
+        rewards = runs.total[order], runs.last_reward[order]
+        return cls(*rewards, runs.steps[order], reached, runs.over[order], rows)
 
 
 def rollouts(
@@ -155,14 +157,17 @@ def rollouts_from_everywhere(domain: EnumerableDomain, option: TabularOption) ->
     states = np.arange(domain.n_states)
     taken = states, option.action, np.zeros_like(states)
     final, total = transitions.successor[taken].astype(np.intp), transitions.reward[taken].copy()
+    last = total.copy()
     reached = option.termination[final] | over[final] | transitions.terminated[taken]
     steps, length = np.ones(domain.n_states, dtype=np.int64), 1
     while length < option.max_steps:
         on = np.flatnonzero(~reached)
         next_states = final[on]
         total[on] += total[next_states]
+        last[on] = last[next_states]
         steps[on] += steps[next_states]
         final[on], reached[on] = final[next_states], reached[next_states]
         length *= 2
     reached &= steps <= option.max_steps
-    return FinalRollouts(total, steps, reached, over[final], domain.feature_table()[final], final)
+    rows = domain.feature_table()[final]
+    return FinalRollouts(total, last, steps, reached, over[final], rows, final)

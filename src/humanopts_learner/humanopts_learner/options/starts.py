@@ -48,12 +48,13 @@ from humanopts_learner.options.decision_tree import encode_rows, feature_encodin
 from humanopts_learner.options.failures import (
     Failures,
     find_failures,
+    KnownEnds,
     successes_by_chance,
     uncertain,
 )
 from humanopts_learner.options.learn import fit_leave_fold_out, fold_of, make_dataset
 from humanopts_learner.options.learned_option import LearnedOption, loops_of
-from humanopts_learner.options.rollout import is_deterministic, rollouts
+from humanopts_learner.options.rollout import is_deterministic, Rollouts, rollouts
 import numpy as np
 
 STRATEGIES = ('random', 'coverage', 'failures')
@@ -388,7 +389,8 @@ def sample_failures(
     some = np.flatnonzero(member)[:RUNS]
     starts = [states[at] for at in some]
     if replayed:
-        for at, state in zip(some.tolist(), _where_stuck(option, domain, starts)):
+        ends = KnownEnds(domain, option.features, demonstrations)
+        for at, state in zip(some.tolist(), _where_stuck(option, domain, starts, ends)):
             stuck[at] = state is not None
             states[at] = states[at] if state is None else state
     elif is_enumerable(domain):
@@ -400,12 +402,14 @@ def sample_failures(
     return SampledFailures(states, member, stuck, failing | stuck)
 
 
-def _where_stuck(option: LearnedOption, domain: Domain, starts: Sequence[Any]) -> list[Any]:
+def _where_stuck(
+    option: LearnedOption, domain: Domain, starts: Sequence[Any], ends: KnownEnds
+) -> list[Any]:
     """
     Run an option once from each of N states of a replayed domain.
 
     :return: (N,) the state in which it first leaves I, or else repeats itself or exceeds its
-        steps; None: it reaches its end.
+        steps; its start, if its end is not like the shown ones; None: its end is.
     """
     left: dict[int, Any] = {}
     last = list(starts)
@@ -418,8 +422,10 @@ def _where_stuck(option: LearnedOption, domain: Domain, starts: Sequence[Any]) -
                 left.setdefault(game, states[at])
 
     count, rng = len(starts), np.random.default_rng(0)  # unused: a seed determines each game
+    games = games_at(domain, starts)
+    final = games.features()
     played = play(
-        games_at(domain, starts),
+        games,
         RowOptions([option]),
         Fixed(np.zeros(count, dtype=np.intp)),
         rng,
@@ -427,9 +433,13 @@ def _where_stuck(option: LearnedOption, domain: Domain, starts: Sequence[Any]) -
         once=True,
         loops=loops_of(domain, [option], count, None),
         on_step=on_step,
+        final=final,
     )
-    reached = set(played.runs.game[played.runs.reached | played.runs.over].tolist())
-    return [None if n in reached else left.get(n, last[n]) for n in range(count)]
+    ran = Rollouts.of(played, final)
+    right = ends.like_shown(final, ran.over, ran.last_reward)
+    stuck = [left.get(n, last[n]) for n in range(count)]
+    ended = [None if right[n] else starts[n] for n in range(count)]
+    return [ended[n] if reached else stuck[n] for n, reached in enumerate(ran.reached)]
 
 
 def committee_disagrees(
