@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from graph_support.scripted import show
 from humanopts_env.domains.base import Action, action_index, Feature
 from humanopts_env.domains.replayed_domain import History, ReplayedDomain, World
 from humanopts_learner.demonstrations import Demonstration, Kind
@@ -225,6 +226,45 @@ def test_there_are_few_runs_until_success_alone_decides() -> None:
     assert missing.more_needed == more_needed([only_return], 3)  # few runs say nothing about it
     assert decides.criteria_met
     assert decides.criteria[0].count > FEWEST
+
+
+class TwoEndsWorld(KeyWorld):
+    """A corridor in which both ends end the task, one with a reward and one with a loss."""
+
+    def step(self, action: int) -> tuple[float, bool]:
+        super().step(action)
+        over = self.cell in (0, LENGTH - 1)
+        return float(over) * (1 if self.cell else -1), over
+
+
+class TwoEnds(Keys):
+    name = 'two ends'
+
+    def make_world(self) -> World:
+        return TwoEndsWorld()
+
+
+def test_an_end_of_the_task_with_a_loss_is_not_like_one_with_a_reward() -> None:
+    """The chosen feature does not tell them apart."""
+    domain, rng = TwoEnds(), np.random.default_rng(0)
+    starts = [s for _ in range(9) if (s := domain.reset(rng)).features[0] > 0]
+
+    def going(way: str) -> list[Demonstration]:
+        fields = {'option_name': 'go', 'chosen_features': ('key',)}
+        return [
+            replace(show(domain, start, lambda taken, here: way, rng, **fields), number=number)
+            for number, start in enumerate(starts, start=1)
+        ]
+
+    shown_ends = going('east')
+    east, west = (learn_option(going(way), domain, 0) for way in ('east', 'west'))
+    found = [judge(shown_ends, domain, Thresholds(), 0, option) for option in (east, west)]
+    assert [summary.criteria[0].value for summary in found] == [1.0, 0.0]
+    assert not sample_failures(east, domain, shown_ends, rng).stuck.any()
+    failures = sample_failures(west, domain, shown_ends, rng)
+    assert failures.stuck.any()
+    stuck = [state for state, stuck in zip(failures.states, failures.stuck) if stuck]
+    assert not any(state.over for state in stuck), 'the person shows the option from its start'
 
 
 def test_the_same_seed_draws_the_same_state() -> None:
