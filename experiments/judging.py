@@ -250,7 +250,9 @@ WORLDS = {
         cost=20.0,
     ),
     'DoorKey': World('gymnasium:MiniGrid-DoorKey-8x8-v0', together=True, slow=True, cost=15.0),
-    'LunarLander': World('gymnasium:LunarLander-v3', slow=True, cost=200.0, least=20),
+    'LunarLander': World(
+        'gymnasium:LunarLander-v3', slow=True, too_few=('10 % slips',), cost=60.0, least=20
+    ),
 }
 
 
