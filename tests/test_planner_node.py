@@ -10,12 +10,18 @@ from graph_support.planning import Planning, start_planning
 from graph_support.player import PERSON
 from graph_support.scripted import FETCH, taught, TAXI
 from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_interfaces.msg import NodeStatus, PlanResult, PolicyResult
+from humanopts_interfaces.msg import NodeStatus, PlanGoal, PlanResult, PolicyResult
 from humanopts_learner.planning.exact_plan import episode_starts, find_coverage, play_plan
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT
+from humanopts_ros.waiting import drive
+from humanopts_teach.lesson.requests import PlanOptions
+from humanopts_teach.ros.convert import ACTIONS
+from humanopts_teach.ros.graph_client import GraphClient
 import pytest
+from rclpy.action import ActionClient
 from unique_identifier_msgs.msg import UUID
 
 OPTIONS = taught()
@@ -214,6 +220,41 @@ def test_a_goal_that_comes_before_the_game_waits_for_it_a_while(live: Graph) -> 
     second = live.act(Plan, 'plan', action_set='primitive')
     live.start(GAME)
     assert second.result()[1].status == PlanResult.STATUS_CONVERGED
+
+
+CUSTOMER = f'{__name__}:Customer'
+
+
+class Customer(NodeBase):
+    """Asks for plans."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('customer', **options)
+        self.client = GraphClient(self, {PlanOptions: ACTIONS[PlanOptions]})
+        self.answers: list[Any] = []
+
+    def plan(self) -> None:
+        goal = PlanOptions('primitive', participant='', seed=SEED)
+        drive(self.client.run(goal, 60.0), self.answers.append)
+
+
+def test_a_goal_to_a_restarted_planner_is_sent_when_that_is_ready(live: Graph) -> None:
+    live.start(GAME)
+    live.start(PLANNER)
+    customer = live.start(CUSTOMER)
+    peers = customer.peers
+    live.until(lambda: peers.state('planner') == NodeStatus.STATE_READY, 'the planner')
+    for node in '/planner', '/game':
+        live.stop(live.node_called(node))
+    goals = live.listen(PlanGoal, 'plan_goals')
+    live.start(PLANNER)
+    live.until(lambda: peers.restarts['planner'], 'the restart to be seen')
+    live.until(ActionClient(live.node, Plan, 'plan').server_is_ready, 'its server')
+    customer.plan()
+    live.start(GAME)
+    live.until(lambda: customer.answers, 'the plan')
+    (answer,) = customer.answers
+    assert (answer.status, len(goals)) == (PlanResult.STATUS_CONVERGED, 1)
 
 
 def test_planning_says_how_far_it_is_is_canceled_at_once_and_ends_with_the_node(

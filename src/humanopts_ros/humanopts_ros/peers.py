@@ -79,6 +79,7 @@ class Peers:
         is ready.
     :ivar on_restart: callbacks invoked with the node name at each increment; the second one
         because requests sent before the node was ready may be lost.
+    :ivar starting: names of restarted nodes that are not ready yet.
     """
 
     def __init__(self, node: Node) -> None:
@@ -89,7 +90,7 @@ class Peers:
         self._node = node
         self._expected: dict[str, str] = {}  # the only accepted publisher_id, by name
         self._replaced: set[str] = set()  # publisher ids
-        self._starting: set[str] = set()  # restarted nodes that are not ready yet
+        self.starting: set[str] = set()
         node.create_subscription(NodeStatus, 'node_status', self._on_status, CURRENT)
 
     def state(self, name: str) -> int:
@@ -111,7 +112,7 @@ class Peers:
         if name in self.statuses and self.statuses[name].publisher_id == publisher_id:
             del self.statuses[name]
         self._replaced.add(publisher_id)
-        self._starting.add(name)
+        self.starting.add(name)
         self._count(name)
 
     def _on_status(self, status: NodeStatus) -> None:
@@ -131,11 +132,11 @@ class Peers:
             if status.state == status.STATE_STOPPING:
                 return
             self._replaced.add(known.publisher_id)
-            self._starting.add(name)
+            self.starting.add(name)
         self.statuses[name] = status
-        ready = status.state == status.STATE_READY and name in self._starting
+        ready = status.state == status.STATE_READY and name in self.starting
         if ready:
-            self._starting.remove(name)
+            self.starting.remove(name)
         if again or ready:
             self._count(name)
 

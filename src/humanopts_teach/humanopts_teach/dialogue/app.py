@@ -450,7 +450,8 @@ class App:
     def lost_server(self) -> None:
         """End the active run because its server is gone."""
         if self.run is not None:
-            self.run_ended(self.run, False, _('{node} is gone.').format(node=server(self.run)))
+            gone = _('{node} is gone.').format(node=server(type(self.run)))
+            self.run_ended(self.run, False, gone)
 
     def last_requests(self) -> list[Request]:
         """Return the requests that clean up when the dialogue ends."""
@@ -519,9 +520,8 @@ class App:
         if answer is None:
             if not late:
                 return
-            answer = Answer(
-                RequestStatus.REFUSED, _('{node} does not answer.').format(node=server(request))
-            )
+            silent = _('{node} does not answer.').format(node=server(type(request)))
+            answer = Answer(RequestStatus.REFUSED, silent)
         elif answer.carried_out and not late and not settled(request, answer, self.world):
             return
         self._waiting, done = None, answer.carried_out

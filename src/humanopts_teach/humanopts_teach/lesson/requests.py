@@ -6,7 +6,7 @@ All are plain values with the names and fields of the corresponding ``.srv``, ``
 lesson itself share them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -258,19 +258,17 @@ ServiceRequest = LessonRequest | SetControl | SetPace | NewEpisode | ListOptions
 Request = ServiceRequest | Drive | ActionGoal | CancelRun
 
 
-def server(request: Request) -> str:
-    """Return the node that answers a request."""
-    match request:
-        case Drive() | SetControl() | SetPace() | NewEpisode():
-            return 'game'
-        case ListOptions() | RunOption():
-            return 'option_server'
-        case PlanOptions() | PlayEpisodes() | SetExecution():
-            return 'planner'
-        case CancelRun():
-            return 'option_server or planner'
-        case _:
-            return 'lesson'
+_SERVERS: Mapping[type, str] = {
+    **dict.fromkeys((Drive, SetControl, SetPace, NewEpisode), 'game'),
+    **dict.fromkeys((ListOptions, RunOption), 'option_server'),
+    **dict.fromkeys((PlanOptions, PlayEpisodes, SetExecution), 'planner'),
+    CancelRun: 'option_server or planner',
+}
+
+
+def server(kind: type) -> str:
+    """Return the node that answers a type of request."""
+    return _SERVERS.get(kind, 'lesson')
 
 
 @dataclass(frozen=True, slots=True)

@@ -293,12 +293,16 @@ class GraphClient:
         """
         Return whether a receiver is matched; a request sent earlier would be lost.
 
+        A goal also waits until a restarted server is ready: one sent earlier is answered as lost,
+        but the server may go on with it.
+
         :param kind: type of request.
         """
         if kind is Drive:
             return self._action.is_matched_by(self.game_topics.name)
         if kind in self._actions:
-            return bool(self._actions[kind].server_is_ready())
+            starting = server(kind) in self._node.peers.starting
+            return bool(self._actions[kind].server_is_ready()) and not starting
         return bool(self._services[kind].service_is_ready())
 
     def send(self, request: ServiceRequest | Drive) -> Future:
@@ -359,7 +363,7 @@ class GraphClient:
 
         sent = Goal(self._actions[type(goal)], message, on_feedback, rejection)
         self._goals = [known for known in self._goals if not known[1].result.done()]
-        self._goals.append((server(goal), sent))
+        self._goals.append((server(type(goal)), sent))
         return sent
 
     async def _found(self, request: ServiceRequest | Drive | ActionGoal) -> str:
@@ -382,10 +386,11 @@ class GraphClient:
     def _on_restart(self, name: str) -> None:
         """Answer pending requests that a restarted node has lost."""
         role = 'game' if name == self.game_topics.name else name
-        self._answer(lambda request, _: server(request) == role, _LOST)
         for served_by, goal in self._goals:
             if served_by == role:
                 goal.lose()
+        # Last: a waiting coroutine may go on, and send a goal to the restarted node.
+        self._answer(lambda request, _: server(type(request)) == role, _LOST)
 
     def _on_domain(self, domain: ActableDomain) -> None:
         self.world.domain = domain
