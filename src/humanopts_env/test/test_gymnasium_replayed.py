@@ -343,10 +343,11 @@ def test_an_environment_that_cannot_be_taught_is_refused(
     assert '\n' not in str(refusal.value)
 
 
-def test_a_group_has_some_of_the_features_not_all() -> None:
+def test_a_group_has_some_of_the_features_in_their_order_not_all() -> None:
     parts = [f'observation_{number}' for number in range(12)]
     assert groups_of(parts) == []
-    assert [group.words for group in groups_of([*parts, 'speed'])] == ['the observation']
+    (group,) = groups_of([*parts, 'speed'])
+    assert (group.words, group.features) == ('the observation', tuple(parts))
 
 
 def test_nodes_do_not_check_again_what_the_game_has_checked(

@@ -7,7 +7,6 @@ from its observations or by an extractor, see ``extractors``.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
-from itertools import groupby
 import math
 import os
 import time
@@ -296,11 +295,12 @@ def named_actions(name: str, env: Any, given: Mapping[str, str]) -> tuple[Action
 
 def groups_of(names: Sequence[str]) -> list[FeatureGroup]:
     """Return the groups of many features: those of one object, such as key_row and key_path."""
-    objects = groupby(sorted(names), key=lambda name: name.rpartition('_')[0])
-    groups = [(thing, [*members]) for thing, members in objects]
+    groups = dict[str, list[str]]()
+    for name in names:
+        groups.setdefault(name.rpartition('_')[0], []).append(name)
     return [
         FeatureGroup(f'the {thing.replace("_", " ")}', tuple(members))
-        for thing, members in groups
+        for thing, members in groups.items()
         if thing and 1 < len(members) < len(names) and len(names) > FEW
     ]
 
