@@ -61,10 +61,11 @@ def _head(app: App) -> list[str]:
         parts.append(translated(world.domain.name))
     if app.participant:
         parts.append(app.participant)
-        if world.lesson.session and not app.in_study:
-            parts.append(_('session {session}').format(session=world.lesson.session))
     if world.holder:
         parts.append(_('you drive') if world.in_control else _('another person drives'))
+    # Last: a narrow screen cuts off the end.
+    if app.participant and world.lesson.session and not app.in_study:
+        parts.append(_('session {session}').format(session=world.lesson.session))
     return [*parts, app.clock] if app.clock else parts
 
 
