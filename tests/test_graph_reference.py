@@ -30,6 +30,7 @@ RCLPY_SERVICES = re.compile(
     r'/((describe|get|list|set)_parameters(_atomically)?|get_parameter_types)$'
     r'|/get_type_description$|/_action/'
 )
+RCLPY_PARAMETERS = {'use_sim_time', 'start_type_description_service'}
 PROFILES = {
     'latched': (qos.LATCHED, DurabilityPolicy.TRANSIENT_LOCAL),
     'stream': (qos.STREAM, DurabilityPolicy.VOLATILE),
@@ -247,3 +248,10 @@ def test_the_recorder_reads_every_topic(full: Graph) -> None:
         if 'recorder' in ends(full.node.get_subscriptions_info_by_topic(f'/{name}'))
     }
     assert read == set(topics(full))
+
+
+def test_every_parameter_of_a_node_is_on_the_page(full: Graph) -> None:
+    for name in ('learner', 'lesson', 'option_server', 'planner', 'simulated_teacher'):
+        live = {*full.node_called(f'/{name}').get_parameters_by_prefix('')} - RCLPY_PARAMETERS
+        page = {r[1] for r in rows('Parameters') if {'all', name} & {*r[0].split(', ')}}
+        assert live == page, name

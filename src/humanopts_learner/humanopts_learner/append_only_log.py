@@ -27,7 +27,7 @@ class AppendOnlyLog:
         """
         Open the file, which need not exist, and repair its last line.
 
-        :raises OSError: it is not a regular file, or cannot be read or repaired.
+        :raises OSError: the file is not regular, or cannot be read or repaired.
         """
         self.path = path
         self.problems: list[str] = []  # descriptions of repairs and skipped lines
@@ -54,7 +54,7 @@ class AppendOnlyLog:
         """
         Parse the lines of the file into entries.
 
-        :param entry_of: parses a line; if it raises a ValueError, the line is skipped and the
+        :param entry_of: parser of a line; if it raises a ValueError, the line is skipped and the
             reason is added to ``problems``.
         :raises OSError: the file cannot be read.
         """
@@ -77,7 +77,7 @@ def read_lines(
     """
     Read a file of lines without changing it, since another process may be writing it.
 
-    :param entry_of: parses a line; if it raises a ValueError, the line is skipped.
+    :param entry_of: parser of a line; if it raises a ValueError, the line is skipped.
     :param most: maximum file size in bytes; None: unlimited.
     :return: the entries, and descriptions of skipped lines; a missing file has no entries.
     :raises OSError: the file is not regular, is too large, or cannot be read.
@@ -107,8 +107,7 @@ def read_in_place(path: Path, most: int | None = None) -> bytes:
     Return the content of a regular file, without following symbolic links.
 
     :param most: maximum size in bytes; None: unlimited.
-    :raises OSError: it is a symbolic link, a folder, a pipe or a device, is too large, or cannot
-        be read.
+    :raises OSError: the file is not regular, is too large, or cannot be read.
     """
     refuse_link(path)
     return read_regular(path, most, os.O_NOFOLLOW)
@@ -116,7 +115,7 @@ def read_in_place(path: Path, most: int | None = None) -> bytes:
 
 def append_bytes(path: Path, content: bytes) -> None:
     """
-    Append and fsync.
+    Append to a file and sync it to disk.
 
     :raises OSError: writing failed; the file is truncated to its previous size, or deleted if that
         is zero.
@@ -147,7 +146,7 @@ def refuse_link(path: Path) -> None:
 
 
 def link_remark(directory: Path) -> str:
-    """Return a remark with the target if a folder is a symbolic link; otherwise empty."""
+    """Return a remark that names the target if a folder is a symbolic link; otherwise empty."""
     if not directory.is_symlink():
         return ''
     return f'{directory} is a symbolic link: its files are those of {directory.resolve()}'
@@ -160,7 +159,7 @@ def append_whole(
     Append to an open file.
 
     :param finish: called after the last byte, such as ``os.fsync``.
-    :return: previous size of the file, bytes.
+    :return: previous size of the file in bytes.
     :raises OSError: writing failed; the file is truncated to its previous size.
     """
     size = os.fstat(handle).st_size

@@ -18,9 +18,9 @@ column                  content
 ======================  =========================================================================
 
 Rows may be in any order, and columns with other names are ignored. A feature value is the domain's
-word for it or its index; a continuous value is a number. An apostrophe that keeps a spreadsheet
-from reading text as a formula is not part of the text. The cell types of a data frame do not
-matter: 1, 1.0, True and 'TRUE' are the same flag.
+word for the value or its index; a continuous value is a number. An apostrophe that keeps a
+spreadsheet from reading text as a formula is not part of the text. The cell types of a data frame
+do not matter: 1, 1.0, True and 'TRUE' are the same flag.
 """
 
 from collections import Counter
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 AGAIN = 'can_start_at_end'
 NEEDED = ('demonstration', 'step', 'action')
 OPTIONAL = ('state', 'reward', 'option', 'participant', AGAIN)
-# Text that pandas reads as missing, so that a file and its data frame mean the same.
+# Text that pandas reads as missing, so that a file and its data frame are equivalent.
 MISSING = ('', 'na', 'n/a', '#n/a', '<na>', 'nan', '-nan', 'null', 'none')
 _WHOLE = r'^([+-]?[0-9]+)\.0*$'  # format of a numeric column with missing values
 _NUMBER = TypeAdapter(Annotated[float, Field(allow_inf_nan=False)]).validate_python
@@ -74,7 +74,7 @@ def demonstrations_from_table(
     :param option_name: option name if the table has no column ``option``.
     :param features: names of the features that the option depends on; None: all of the domain.
     :param participant: participant if the table has no column ``participant``.
-    :return: in order of first appearance, checked against the rules of the domain.
+    :return: demonstrations in order of first appearance, checked against the rules of the domain.
     :raises DemonstrationError: the table is invalid; the message names the row and column, or the
         demonstration.
     :raises OSError: the file does not exist.
@@ -144,9 +144,9 @@ def demonstrations_to_table(demonstrations: Sequence[Demonstration]) -> 'pd.Data
 
 def _rows(table: 'pd.DataFrame | Path | str') -> 'pd.DataFrame':
     """
-    Return the non-empty rows as text, labelled by row number in a spreadsheet.
+    Return the non-empty rows as text, labelled with their row numbers in a spreadsheet.
 
-    :raises DemonstrationError: it is not a table, has no rows, or has duplicate column names.
+    :raises DemonstrationError: the file is not a table, has no rows, or repeats a column name.
     """
     import pandas as pd
 
@@ -158,7 +158,7 @@ def _rows(table: 'pd.DataFrame | Path | str') -> 'pd.DataFrame':
             lines = pd.read_csv(
                 table, header=None, skipinitialspace=True, encoding=EXCEL, **as_text
             )
-        except ValueError as error:  # also the errors of pandas
+        except ValueError as error:  # including errors of pandas
             raise DemonstrationError(f'{table} is not a table: {error}') from error
         frame = lines.iloc[1:].set_axis(lines.iloc[0].fillna(''), axis=1)
         frame.index += 1  # numbering as in a spreadsheet, with the header in row 1
@@ -210,7 +210,7 @@ def _name(text: str) -> str:
 
 
 def _action(text: str, known: Sequence[str]) -> str:
-    """Return the action in a cell; empty: none."""
+    """Return the action in a cell; empty: no action."""
     if text in known:
         return text
     if text.lower() in MISSING:

@@ -2,7 +2,7 @@
 Demonstrations of options, checked against the rules of the game.
 
 Runs of the machine that the person called right or wrong are recorded and sent like
-demonstrations, but nothing is learned from them.
+demonstrations, but options are not learned from them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -58,12 +58,12 @@ METHODS = {  # learning methods; descriptions of the policy
     FOREST: 'learned from the actions that were shown, by many trees that vote',
     GOAL: 'planned: best ways to an end like the shown ones',
 }
-PRIMITIVE_PREFIX = 'action:'  # of primitive actions used as options
+PRIMITIVE_PREFIX = 'action:'  # name prefix of primitive actions used as options
 MACHINE = (
     'automatic:'  # prefix of participant codes of automatic options; people's codes have no colon
 )
-CHANGE = 0.01  # of the range of a continuous feature, which counts as a change
-MAX_NAME = 60  # characters of option names, and of codes of people and sessions
+CHANGE = 0.01  # minimum change of a continuous feature, relative to its range
+MAX_NAME = 60  # maximum number of characters of option names, participant and session codes
 # KIND_* of Demonstration.msg
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2, Kind.JUDGED: 3}
 
@@ -80,7 +80,7 @@ class Demonstration:
     """
     One trajectory s0 a0 r0 .. sT of one option, or one "not here" answer (T = 0).
 
-    A judged run has the states and actions of the machine; T = 0: it would not start there.
+    A judged run has the states and actions of the machine; T = 0: the option would not start.
 
     Fields are those of ``humanopts_interfaces/msg/Demonstration``.
     """
@@ -92,7 +92,7 @@ class Demonstration:
     participant: Text
     session: Text
     option_name: Annotated[Text, AfterValidator(composed)]
-    number: Count  # 1, 2, 3, ... within participant and option; judged runs: numbered apart
+    number: Count  # 1, 2, 3, ... per participant and option; judged runs: numbered separately
     chosen_features: tuple[Text, ...]
     feature_names: tuple[Text, ...]
     features: tuple[tuple[Real, ...], ...]  # T + 1 rows of all features
@@ -106,9 +106,9 @@ class Demonstration:
     method: Text = TREES  # one of METHODS; the newest demonstration decides
     machine_steps: Count = 0  # number of leading steps taken by the machine
     right: Flag = False  # the verdict on a judged run
-    exam: Flag = False  # a judged run that was watched in an exam; else the answer to a question
+    exam: Flag = False  # a judged run from an exam; otherwise, it answers a question
     stopped: Flag = False  # the person stopped the judged run in its last state
-    option_version: Text = ''  # ``version_of`` what the judged option was learned from
+    option_version: Text = ''  # ``version_of`` the demonstrations of the judged option
 
     @cached_property
     def feature_rows(self) -> Rows:
@@ -117,7 +117,7 @@ class Demonstration:
 
     @property
     def plain_features(self) -> list[list[float]]:
-        """``features`` as written to files: whole numbers, such as indices, as integers."""
+        """``features`` for files: whole numbers, such as indices, are integers."""
         return [[int(v) if float(v).is_integer() else v for v in row] for row in self.features]
 
     @property
@@ -138,7 +138,7 @@ class Demonstration:
     @classmethod
     def from_json(cls, text: str) -> 'Demonstration':
         """
-        Read what ``to_json`` wrote.
+        Read the output of ``to_json``.
 
         :raises DemonstrationError: the text is not a demonstration.
         """
@@ -177,7 +177,7 @@ _OPTIONAL = {
 
 
 def shown(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
-    """Return those to learn from: trajectories and "not here" answers."""
+    """Return the demonstrations to learn from: trajectories and "not here" answers."""
     return [demo for demo in demonstrations if demo.kind is not Kind.JUDGED]
 
 
@@ -187,7 +187,7 @@ def judged(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
 
 
 def version_of(demonstrations: Iterable[Demonstration]) -> str:
-    """Return the version of the option that is learned from demonstrations."""
+    """Return the version of the option learned from these demonstrations."""
     uuids = sorted(demo.uuid for demo in shown(demonstrations))
     return str(uuid_module.uuid5(uuid_module.NAMESPACE_OID, ' '.join(uuids)))
 
@@ -217,7 +217,7 @@ def make_demonstration(
     :param features: names of the features that the option depends on; None: all.
     :param can_start_at_end: whether the option could start again in the last state.
     :param method: learning method, one of METHODS.
-    :raises DemonstrationError: it breaks the rules of the domain, or a reward is unknown.
+    :raises DemonstrationError: the steps break the rules of the domain, or a reward is unknown.
     """
     if not states:
         raise DemonstrationError('a demonstration has at least one state')
@@ -247,7 +247,7 @@ def make_demonstration(
 
 
 def _rewards(domain: Domain, states: Sequence[Any], actions: Sequence[str]) -> list[float]:
-    """Return the reward of each step by the rules; 0 if the step violates them."""
+    """Return the reward of each step by the rules; 0 for a step that violates them."""
     if actions and not is_enumerable(domain):
         raise DemonstrationError(f'the states of {domain.name} cannot all be listed: give rewards')
     found = []
@@ -269,7 +269,7 @@ def demonstration_from_message(message: Any) -> Demonstration:
     """
     Decode a ``humanopts_interfaces/msg/Demonstration``, from rclpy or from a bag reader.
 
-    :raises DemonstrationError: its kind is unknown.
+    :raises DemonstrationError: the message is malformed.
     """
     values = {field.name: getattr(message, field.name) for field in fields(Demonstration)}
     kinds = {number: kind for kind, number in KIND_NUMBERS.items()}
@@ -292,7 +292,7 @@ def check_demonstration(demonstration: Demonstration, domain: ActableDomain) -> 
 
 
 def option_name_fault(name: str) -> str:
-    """Return a description of what is wrong with an option name; empty: valid."""
+    """Return the fault of an option name; empty: valid."""
     if not name.strip():
         return 'the name is empty'
     if name.startswith(PRIMITIVE_PREFIX):
@@ -310,7 +310,7 @@ def check_method(method: str, domain: ActableDomain) -> None:
     """
     Check that options of a domain can be learned with a method.
 
-    :raises DemonstrationError: the method is unknown, or requires a domain with listable states.
+    :raises DemonstrationError: the method is unknown, or requires states that can be listed.
     """
     if method not in METHODS:
         known = ', '.join(METHODS)
@@ -324,9 +324,9 @@ def check_method(method: str, domain: ActableDomain) -> None:
 
 def each_once(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
     """
-    Remove duplicate demonstrations from a stream or log, by uuid.
+    Remove duplicate demonstrations of a stream or log, by uuid.
 
-    :return: in order of first appearance; a withdrawal takes precedence.
+    :return: one of each, in order of first appearance; a withdrawal takes precedence.
     """
     once: dict[str, Demonstration] = {}
     for demo in demonstrations:
@@ -342,11 +342,11 @@ def without_idle_steps(
     """
     Return a demonstration without the steps in which the person only waited.
 
-    A step is dropped if its action is idle and no chosen feature changed during it, compared with
-    the last step that was kept. Waiting for a change is thus learned, and hesitating is not. If
-    nothing would be left, the person has shown how to wait, and nothing is dropped.
+    A step is dropped if its action is idle and no chosen feature has changed since the last step
+    that was kept. So waiting for a change is learned, and hesitation is not. If no step would be
+    left, the person has shown how to wait, and nothing is dropped.
 
-    :param chosen: features; a continuous one changes by ``CHANGE`` of its range.
+    :param chosen: chosen features; a continuous one must change by ``CHANGE`` of its range.
     """
     idle = {action.name for action in domain.actions if action.idle}
     if idle.isdisjoint(demo.actions):
@@ -397,7 +397,7 @@ def _faults(demo: Demonstration, domain: ActableDomain) -> Iterator[str]:
     """
     Yield the faults of a demonstration; later checks rely on earlier ones.
 
-    :raises DemonstrationError: its method or parameters are invalid.
+    :raises DemonstrationError: its learning method is invalid.
     """
     try:
         uuid_module.UUID(demo.uuid)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 NONE = -1  # no option running: a choice is due
 RANDOM_MOVES = 3  # maximum number of random moves when a run repeats itself; minimum: 1
 REPEATED = 2  # a run repeats itself at this multiple of the visits in a demonstration
-RESOLUTION = 1000  # equal intervals of a continuous feature; values in one count as equal
+RESOLUTION = 1000  # number of intervals of a continuous feature; values in one count as equal
 
 
 class Seen(Protocol):
@@ -60,13 +60,13 @@ class Policy(Protocol[S_in]):
 
     def choose(self, seen: S_in, games: Ints) -> Ints:
         """
-        Return (N,): the next option in the given games; ``NONE``: the game ends in ``play``.
+        Return (N,): the next option in the given games; ``NONE`` ends the game in ``play``.
 
         :param games: (N,) game numbers.
         """
 
     def stops(self, seen: S_in, option: Ints) -> Flags | None:
-        """Return (N,): whether each game's option (N,) is stopped; None: none are."""
+        """Return (N,): whether each game's option (N,) is stopped; None: no option is."""
         return None
 
 
@@ -80,7 +80,7 @@ def draw_among(among: Flags, rng: np.random.Generator) -> Ints:
 class Fixed(Policy[Seen]):
     """A policy that always runs the same option in each game."""
 
-    option: Ints  # (N,) of each game
+    option: Ints  # (N,) option of each game
 
     def choose(self, seen: Seen, games: Ints) -> Ints:
         return self.option.take(games)
@@ -96,12 +96,12 @@ def looks_of(rows: Rows, domain: ActableDomain) -> list[bytes]:
 
 class Loops:
     """
-    Detects runs that repeat themselves, and breaks them by random moves.
+    Detects runs that repeat themselves, and breaks the repetition with random moves.
 
-    Features need not determine the state: they stay the same on a walk across an open field, and
-    they come again where chance pushes back. So a run repeats itself where its features look the
-    same more often than in any demonstration of its option, by the factor ``REPEATED``. It then
-    takes one to ``RANDOM_MOVES`` random moves, and continues.
+    Features need not determine the state: they can stay the same while crossing an open field,
+    and recur where chance pushes the agent back. So a run counts as repeating itself when its
+    features have looked the same ``REPEATED`` times as often as in any demonstration of its
+    option. It then takes 1 to ``RANDOM_MOVES`` random moves and continues.
     """
 
     def __init__(
@@ -114,29 +114,29 @@ class Loops:
         """
         Start without runs.
 
-        :param most_visits: (O,) how often the features look the same in a demonstration of each
-            option; 0: its runs never count as repeating themselves.
+        :param most_visits: (O,) maximum number of rows that look the same in one demonstration
+            of each option; 0: its runs are not checked.
         :param count: number of games, N.
-        :param rng: generator of the random moves; None: runs that repeat themselves end, and so
-            do their games.
+        :param rng: generator for the random moves; None: a run that repeats itself ends, and so
+            does its game.
         """
         self._domain, self._rng = domain, rng
         self._most = REPEATED * most_visits
         self._visits: list[Counter[bytes]] = [Counter() for _ in range(count)]
         self._left = np.zeros(count, dtype=np.intp)
         self.moves = np.zeros(count, dtype=np.intp)  # (N,) random moves of the newest run
-        self.ended = np.zeros(count, dtype=np.bool_)  # (N,) whether it repeats itself and ends
-        self.stuck = np.full(count, NONE)  # (N,) its length when it first repeated itself, or NONE
+        self.ended = np.zeros(count, dtype=np.bool_)  # (N,) whether the run repeats and ends
+        self.stuck = np.full(count, NONE)  # (N,) run length at the first repetition, or NONE
 
     def begin(self, games: Ints) -> None:
-        """Forget the runs of some games (M,), which begin new ones."""
+        """Reset games (M,) in which new runs begin."""
         self.moves[games] = self._left[games] = 0
         self.stuck[games] = NONE
         for game in games.tolist():
             self._visits[game].clear()
 
     def act(self, actions: Ints) -> Ints:
-        """Return the actions (N,), with random ones in games that repeat themselves."""
+        """Return the actions (N,), replaced by random ones where a run repeats itself."""
         moved = self._left > 0
         if self._rng is None or not moved.any():
             return actions
@@ -152,7 +152,7 @@ class Loops:
         :param rows: (N, F) features.
         :param option: (N,) options of the runs.
         :param ran: (N,) lengths of the runs.
-        :param ended: (N,) whether the runs have ended anyway.
+        :param ended: (N,) whether the runs have already ended.
         """
         most, found = self._most.take(option), np.zeros(len(rows), dtype=np.bool_)
         at = np.flatnonzero((self._left == 0) & (most > 0) & ~ended)
@@ -189,7 +189,7 @@ class Runs:
     reached: Flags  # (R,) the termination condition holds
     over: Flags  # (R,) the task is over
     stopped: Flags  # (R,) the policy stopped it
-    random_moves: Ints  # (R,) taken because the run repeated itself
+    random_moves: Ints  # (R,) number taken because the run repeated itself
     stuck: Ints  # (R,) game step at which it first repeated itself; ``NONE``: it did not
 
 
@@ -198,13 +198,13 @@ class Execution(Generic[S]):
     Runs one option at a time in each of N games.
 
     A run ends when the termination condition holds, which is checked only after a step; when the
-    task is over; after ``max_steps``; or when the policy stops it. A run that repeats itself takes
-    random moves, or ends, if ``Loops`` are given.
+    task is over; after ``max_steps``; or when the policy stops it. With ``Loops``, a run that
+    repeats itself takes random moves or ends.
 
     :ivar games: (N,) game numbers.
     :ivar option: (N,) indices of the running options; ``NONE``: a choice is due.
-    :ivar loops: what happens to runs that repeat themselves; None: nothing.
-    :ivar decided: (M,) indices among the N games of the latest choices.
+    :ivar loops: detector of runs that repeat themselves; None: runs are not checked.
+    :ivar decided: (M,) positions of the games in which the last ``act`` chose an option.
     :ivar total: (N,) sum of r[i] of the newest run of each game.
     :ivar discounted: (N,) sum of gamma**i * r[i] of the newest run of each game.
     """
@@ -224,7 +224,7 @@ class Execution(Generic[S]):
         :param count: number of games, N.
         :param gamma: discount per primitive step.
         :param limits: (N,) maximum number of steps per run in each game; None: the options' own.
-        :param loops: see the attribute.
+        :param loops: as the attribute.
         """
         self.policy, self._gamma, self.loops = policy, gamma, loops
         self._of_option, self._of_game = options.limits, limits
@@ -252,7 +252,7 @@ class Execution(Generic[S]):
         Record the outcome of the actions, and return the runs that ended.
 
         :param seen: observation after the step.
-        :param cut_off: (N,) whether each game ends here for another reason.
+        :param cut_off: (N,) whether each game is cut off after this step.
         :param rows: (N, F) features after the step; needed with ``Loops``.
         """
         self.total += steps.reward
@@ -269,7 +269,7 @@ class Execution(Generic[S]):
             loops.observe(rows, self.option, self._ran, done)
             done = done | loops.ended
         at = done.nonzero()[0]
-        if not at.size:  # in a live run, almost always
+        if not at.size:  # the usual case in a live run
             return NO_RUNS
         begun = (self._age - self._ran).take(at)
         stopped = np.zeros(len(at), np.bool_) if stops is None else (stops & ~ended).take(at)
@@ -338,18 +338,18 @@ def play(
     final: Rows | None = None,
 ) -> Played:
     """
-    Play games by a policy until each is over.
+    Play games with a policy until each is over.
 
     :param games: N games, modified in place; those already over have no runs.
     :param chance: random draws of the steps; one generator per game makes games independent.
     :param max_steps: maximum number of steps per game.
     :param gamma: discount per primitive step.
     :param limits: (N,) maximum number of steps per run in each game; None: the options' own.
-    :param once: end each game with its first run.
-    :param loops: what happens to runs that repeat themselves; None: nothing.
-    :param on_step: called in every step, after the choices, with the step number, the execution,
-        and its observation and games; its exceptions propagate.
-    :param final: (N, F) receives the features with which each game ends; None: not needed.
+    :param once: whether each game ends with its first run.
+    :param loops: detector of runs that repeat themselves; None: runs are not checked.
+    :param on_step: called in every step after the choices, with the step number, the execution,
+        the observation and the games; its exceptions propagate.
+    :param final: (N, F) array to fill with the final features; None: not needed.
     """
     outcomes = {name: values.copy() for name, values in games.outcomes().items()}
     execution, parts = Execution(options, policy, len(games), gamma, limits, loops), []
@@ -394,7 +394,7 @@ def play(
 
 
 def joined(parts: Sequence[Runs]) -> Runs:
-    """Concatenate the runs that ended in several steps."""
+    """Concatenate runs that ended in different steps."""
     if not parts:
         return Runs(*(np.zeros(0, bool if f.type == Flags else np.intp) for f in fields(Runs)))
     return Runs(
@@ -418,7 +418,7 @@ class RowOptions:
 
 @dataclass(frozen=True)
 class SeenRows:
-    """The features of N games, with the decisions of options on them."""
+    """The features of N games, with the decisions of options in them."""
 
     options: Sequence[Option]
     rows: Rows  # (N, F)

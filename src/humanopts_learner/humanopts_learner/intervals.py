@@ -4,7 +4,7 @@ Confidence intervals of estimates, and decisions based on them.
 The units of a sample are independent: games of one plan, people, or seeds. Values of the same unit
 are averaged first. If two samples share their units, such as two plans in the same games, the
 interval is that of the differences within units. A claim holds if the whole interval supports it,
-and is refuted if the whole interval contradicts it; otherwise the data do not decide it.
+and is refuted if the whole interval contradicts it; otherwise, it is undecided.
 """
 
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from humanopts_env.arrays import Flags, Floats
 import numpy as np
 from numpy.typing import ArrayLike
 
-LEVEL = 0.95  # confidence, two-sided
+LEVEL = 0.95  # two-sided confidence level
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Interval:
         For flags, return their share and its interval, as ``of_share``.
 
         :param values: (N,) without NaN; a single value has no limits, and an empty array no mean.
-        :param level: two-sided; ``low`` at 0.9 is the one-sided limit at 0.95.
+        :param level: two-sided level; ``low`` at 0.9 is the one-sided limit at 0.95.
         """
         found = np.asarray(values)
         if found.dtype == np.bool_:
@@ -71,8 +71,8 @@ class Interval:
         Return the difference of two means, first - second.
 
         :param first: (N,) one value per unit.
-        :param second: (N,) the same units in the same order; unpaired: (M,) other units, with the
-            degrees of freedom of Welch (1947).
+        :param second: (N,) the same units in the same order; unpaired: (M,) other units.
+        :param paired: whether the samples share units; if not, use Welch (1947).
         :raises ValueError: paired samples differ in length.
         """
         one, other = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
@@ -87,7 +87,7 @@ class Interval:
         cls, first: ArrayLike, second: ArrayLike, level: float = LEVEL, *, paired: bool = True
     ) -> 'Interval':
         """
-        Return the ratio of two geometric means, first / second, of values above 0.
+        Return the ratio of two geometric means, first / second, of positive values.
 
         Its logarithm is a difference of means, so the interval of second / first is the inverse.
         Parameters and errors are those of ``of_difference``.
@@ -144,23 +144,23 @@ class Interval:
 
 def level_of_look(number: int) -> float:
     """
-    Return the level of the interval at look 1, 2, ... for which all looks hold jointly.
+    Return the level of interval number 1, 2, ... at which all of them hold jointly.
 
-    The errors 0.05 / (k * (k + 1)) sum to 0.05, so a decision after every demonstration is wrong
-    no more often than a single one at ``LEVEL``.
+    The errors 0.05 / (k * (k + 1)) sum to 0.05, so decisions after every demonstration are
+    together as reliable as a single one at ``LEVEL``.
     """
     return 1 - (1 - LEVEL) / (number * (number + 1))
 
 
 def runs_needed(share: float, level: float) -> int:
-    """Return the fewest runs that, all being right, have a lower limit of at least a share."""
+    """Return the smallest number of runs, all right, with a lower limit of at least a share."""
     from scipy.special import ndtri  # slow to import
 
     return math.ceil(float(ndtri((1 + level) / 2)) ** 2 * share / (1 - share))
 
 
 def level_of_each(count: int) -> float:
-    """Return the level per interval for which all hold jointly at ``LEVEL`` (Bonferroni)."""
+    """Return the level per interval at which all hold jointly at ``LEVEL`` (Bonferroni)."""
     return 1 - (1 - LEVEL) / count
 
 

@@ -10,7 +10,7 @@ from humanopts_ros.limits import composed
 
 
 class UnknownOptionError(ValueError):
-    """Unknown option name, or unknown for this participant; the message lists the options."""
+    """Option name unknown, in general or for this participant; the message lists the options."""
 
 
 class AmbiguousOptionError(UnknownOptionError):
@@ -19,7 +19,7 @@ class AmbiguousOptionError(UnknownOptionError):
 
 def no_options_text(participant: str, others: Iterable[str]) -> str:
     """
-    Describe that a participant has no options, and list the participants that do.
+    Return a message that a participant has no options; it lists the participants that do.
 
     :param others: participants of all existing options.
     """
@@ -59,7 +59,7 @@ class OptionLibrary:
         """
         Replace the options with the given ones that can run in this domain.
 
-        :return: why others cannot: learned in another domain, or named like a primitive action.
+        :return: faults of the others: learned in another domain, or named like a primitive action.
         """
         self._options, faults = {}, []
         for option in options:
@@ -78,10 +78,10 @@ class OptionLibrary:
         """
         Return the option with a name.
 
-        :param name: a learned option, or ``action:NAME`` for a primitive action.
-        :param participant: participant who taught it; empty: the only one who did.
+        :param name: name of a learned option, or ``action:NAME`` for a primitive action.
+        :param participant: participant who taught the option; empty: the only one who did.
         :raises UnknownOptionError: no option has this name.
-        :raises AmbiguousOptionError: several participants taught it, and none is given.
+        :raises AmbiguousOptionError: several participants taught it, and no participant is given.
         """
         name = composed(name)
         if name in self._primitives:

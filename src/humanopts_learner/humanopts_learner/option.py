@@ -32,10 +32,10 @@ class StochasticOption(Option, Protocol):
 
 @dataclass(frozen=True)
 class PrimitiveOption:
-    """A primitive action as a one-step option that can start everywhere."""
+    """A primitive action as a one-step option that can start anywhere."""
 
     name: str  # action:NAME
-    index: int  # of the action
+    index: int  # action index
     n_actions: int
     max_steps: int = 1
 
@@ -60,7 +60,7 @@ class PrimitiveOption:
 
 @dataclass(frozen=True)
 class DrawnOption:
-    """An option whose decisions are drawn from its probabilities."""
+    """An option with decisions drawn from its probabilities."""
 
     option: StochasticOption
     rng: np.random.Generator

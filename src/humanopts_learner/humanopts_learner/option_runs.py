@@ -1,9 +1,9 @@
 """
-Recorded runs of options: what a plan is made from in a world that can only be acted in.
+Recorded runs of options, the basis of plans in a world that can only be acted in.
 
-A run is kept with the features of every state, so that abstract states are formed when a plan is
-made, with the options and columns of that time. ``RunCollector`` assembles runs from the messages
-of the graph, live or from a bag.
+A run contains the features of every state, so abstract states are formed only when a plan is made,
+with the options and columns of that time. ``RunCollector`` assembles runs from the messages of the
+graph, live or from a bag.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 OPTION_RUNS = 'option_runs.jsonl'
-MAX_STATES = 10_000  # most recent states that a run can be assembled from
+MAX_STATES = 10_000  # maximum number of states kept for assembling runs
 COMPLETE = tuple(
     status.name
     for status in (
@@ -64,7 +64,7 @@ class OptionRun:
         """
         Check that the run was recorded in this domain.
 
-        :raises ValueError: it was not, or its parts disagree.
+        :raises ValueError: the domain differs, or parts of the run disagree.
         """
         if (self.domain, self.domain_parameters) != (domain.name, parameters_json(domain)):
             raise ValueError(f'it is a run in {self.domain} {self.domain_parameters}')
@@ -80,13 +80,13 @@ _RUN = TypeAdapter(OptionRun)
 
 
 class RunLog:
-    """The recorded runs of a domain, on disk if there is a folder."""
+    """The recorded runs of a domain, kept on disk if there is a folder."""
 
     def __init__(self, directory: Path | None, domain: ActableDomain) -> None:
         """
         Open the folder and read its runs.
 
-        :param directory: None: runs are kept in memory only.
+        :param directory: folder of the runs; None: they are kept in memory only.
         :raises OSError: the folder cannot be used.
         """
         self._log: AppendOnlyLog | None = None
@@ -109,7 +109,7 @@ class RunLog:
         """
         Add a run.
 
-        :raises OSError: writing failed; it is kept in memory only.
+        :raises OSError: writing failed; the run is kept in memory only.
         """
         self.runs.append(run)
         if self._log is not None:
@@ -123,9 +123,9 @@ def uuid_of(message: Any) -> str:
 
 def result_from_message(message: Any) -> RunResult:
     """
-    Decode what a ``RunCollector`` needs of an ``OptionResult``, from rclpy or a bag reader.
+    Decode the fields of an ``OptionResult`` that a ``RunCollector`` needs.
 
-    :raises ValueError: its status is unknown.
+    :raises ValueError: the status is unknown.
     """
     known = [*RunStatus]  # in the order of their constants
     if not 1 <= message.status <= len(known):
@@ -147,7 +147,7 @@ class RunCollector:
     """
     Assembles runs from the states of the game, and from the goals and results of options.
 
-    Messages of different topics may arrive in any order. Runs of modules belong to no option.
+    Messages of different topics may arrive in any order. Runs of modules are ignored.
     """
 
     def __init__(self, domain: ActableDomain) -> None:
@@ -158,27 +158,27 @@ class RunCollector:
         self._results: list[RunResult] = []  # with states that have not arrived yet
 
     def on_goal(self, run_id: str, participant: str) -> None:
-        """Note who taught the option of a run."""
+        """Store the participant who taught the option of a run."""
         self._participants[run_id] = participant
 
     def on_state(self, publisher_id: str, state: Transition) -> list[OptionRun]:
         """
         Add a state of the game.
 
-        :return: the runs that are complete with it.
+        :return: the runs that this state completes.
         """
         if publisher_id != self._game:
-            self._results = [] if self._game else self._results  # those of an ended game
+            self._results = [] if self._game else self._results  # drop results of an ended game
             self._game, self._states = publisher_id, {}
         here = state.episode, state.step
-        if not (state.refreshed and here in self._states):  # rewards are those of the step itself
+        if not (state.refreshed and here in self._states):  # keep the reward of the step itself
             self._states[here] = state
             if len(self._states) > MAX_STATES:
                 del self._states[next(iter(self._states))]
         return self._assemble()
 
     def on_result(self, result: RunResult) -> list[OptionRun]:
-        """Add the result of a run; return the runs that are complete with it."""
+        """Add the result of a run; return the runs that it completes."""
         if result.step_count and result.option_name:
             self._results.append(result)
         else:

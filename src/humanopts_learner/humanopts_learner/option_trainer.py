@@ -38,7 +38,7 @@ class TaughtOption:
     """
     One option of one participant.
 
-    All are kept in memory, so each contains neither demonstrations nor trees.
+    All are kept in memory, so they contain neither demonstrations nor deserialized trees.
     """
 
     summary: OptionSummary
@@ -91,9 +91,9 @@ class OptionTrainer:
         """
         Store a demonstration, a judged run or a withdrawal, and relearn or judge its option.
 
-        :return: False: already known or withdrawn; nothing changed.
-        :raises DemonstrationError: it is invalid; it is not stored.
-        :raises DataSetError: writing failed; it is not stored.
+        :return: False: already known or withdrawn, so nothing changed.
+        :raises DemonstrationError: the demonstration is invalid and was not stored.
+        :raises DataSetError: writing failed.
         """
         known = self._withdrawn.get(demo.uuid)
         if known is not None and known >= demo.withdrawn:
@@ -128,7 +128,7 @@ class OptionTrainer:
         """
         Load the demonstrations of a participant, replacing those in memory.
 
-        :raises DataSetError: they cannot be read.
+        :raises DataSetError: the data set cannot be read.
         """
         if participant == self._participant:
             return
@@ -150,10 +150,10 @@ class OptionTrainer:
         """
         Learn an option, or remove it if it has no demonstrations left.
 
-        A judged run changes only what is known about the option.
+        A judged run changes only the summary of the option.
 
         :param demonstrations: all demonstrations and judged runs of the participant.
-        :param news: what has changed since the last call; None: anything.
+        :param news: the only change since the last call; None: anything may have changed.
         """
         key = participant, option_name
         every = list(demonstrations)
@@ -187,7 +187,7 @@ class OptionTrainer:
     def _judge(
         self, demos: list[Demonstration], option: LearnedOption, every: list[Demonstration]
     ) -> OptionSummary:
-        """Judge an option; ``every`` has all demonstrations of the participant."""
+        """Judge an option; ``every`` contains all demonstrations of the participant."""
         before = taught_before(option.name, every, self._domain, self._seed)
         return judge(demos, self._domain, self._thresholds, self._seed, option, before)
 

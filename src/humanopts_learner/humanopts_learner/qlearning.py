@@ -41,8 +41,8 @@ MIN_EXPLORE, MAX_EXPLORE = 0.005, 0.3  # range of candidate exploration rates
 class Method(Enum):
     """When the learners update."""
 
-    SMDP = 'smdp'  # the end of each run of an option
-    INTRA_OPTION = 'intra-option'  # each step
+    SMDP = 'smdp'  # at the end of each run of an option
+    INTRA_OPTION = 'intra-option'  # at each step
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Rates:
 
     learning_rate: float = 0.1
     explore: float = 0.1  # share of decisions drawn from all available options
-    averages: bool = False  # the n-th update of a value in a ``QTable`` has at least the rate 1/n
+    averages: bool = False  # whether the n-th update of a ``QTable`` value has at least rate 1/n
 
     def __post_init__(self) -> None:
         if not (0.0 < self.learning_rate <= 1.0 and 0.0 <= self.explore <= 1.0):
@@ -133,7 +133,7 @@ class _Values(Policy[SeenStates]):
 
     def learn_of_runs(self, runs: Runs, there: Ints, gamma: float) -> None:
         """
-        Update by SMDP Q-learning.
+        Update the values by SMDP Q-learning.
 
         :param there: (N,) current state of each learner.
         """
@@ -244,8 +244,8 @@ class QTable:
     """
     SMDP Q-learning in a table of the states that have been seen.
 
-    :ivar values: (O,) by state; 0 at first.
-    :ivar visits: (O,) by state, number of updates of each option.
+    :ivar values: values (O,) by state; initially 0.
+    :ivar visits: number of updates of each option (O,), by state.
     """
 
     def __init__(self, n_options: int, rates: Rates) -> None:
@@ -260,7 +260,7 @@ class QTable:
         Return an option by the epsilon-greedy policy; ties are broken at random.
 
         :param can: (O,) whether each option can start.
-        :param explores: False: by the greedy policy.
+        :param explores: whether to explore; False: use the greedy policy.
         """
         known = np.where(can, self.values[state], -np.inf)
         explored = explores and rng.random() < self._rates.explore
@@ -279,9 +279,9 @@ class QTable:
         again: bool = False,
     ) -> None:
         """
-        Update the value of an option by a run.
+        Update the value of an option with a run.
 
-        :param again: whether the run has updated it before (experience replay, Lin 1992).
+        :param again: whether the run was used before (experience replay, Lin 1992).
         :param reward: discounted return of the run.
         :param discount: gamma**k; 0 if the task is over.
         :param can: (O,) whether each option can start in the successor.
@@ -310,7 +310,7 @@ class EnvLearner:
     """
     A tabular SMDP Q-learner with options as actions.
 
-    :ivar columns: features that are its state; continuous ones make no table.
+    :ivar columns: features that form its state, none of them continuous.
     """
 
     env: 'OptionsEnv'
@@ -323,9 +323,9 @@ class EnvLearner:
 
     def play(self, episodes: int, seed: int, *, learn: bool) -> Episodes:
         """
-        Play episodes; with learning epsilon-greedily, else greedily. Ties are broken at random.
+        Play episodes: epsilon-greedily while learning, otherwise greedily, with random ties.
 
-        :param seed: also of the resets, so that other seeds begin other episodes.
+        :param seed: random seed, also of the resets, so that another seed gives other episodes.
         """
         rng = generator(seed, 'qlearning', 'env')
         steps, returns = np.zeros(episodes, dtype=np.intp), np.zeros(episodes)
@@ -351,7 +351,7 @@ class EnvLearner:
 
 
 def drawn_rates(seed: int, count: int) -> list[Rates]:
-    """Draw candidate rates, log-uniform; the first candidate is the default, 0.1 each."""
+    """Draw candidate rates log-uniformly; the first candidate has the defaults, 0.1 each."""
     rng = generator(seed, 'rates')
     draws = rng.random((count - 1, 2))
     learning = MIN_RATE * (MAX_RATE / MIN_RATE) ** draws[:, 0]
@@ -370,7 +370,7 @@ def best_rates_of_each(
     """
     Return the rates with the fewest steps over all episodes, averaged over runs.
 
-    All action sets get the same candidates, runs and episodes, for searches of equal effort.
+    All action sets get the same candidates, runs and episodes, so their searches are equally long.
     Relearn with another seed to evaluate the chosen rates.
 
     :param tables: options of each action set.

@@ -1,9 +1,9 @@
 """
 A run of one option, or of options as modules, in a live game: the rules of the runner.
 
-``Execution`` implements them; the graph lies between its ``act`` and ``observe``. An ``Arbiter``
-decides whether a plan interrupts the option, and which module acts. Like the vectorised play of
-plans, it uses ``OptionValues``, which can be sent in a message.
+``Execution`` implements the rules; messages are exchanged between its ``act`` and ``observe``. An
+``Arbiter`` decides whether a plan interrupts the option, and which module acts. Like the
+vectorised play of plans, it uses ``OptionValues``, which can be sent in a message.
 """
 
 from collections import Counter
@@ -72,7 +72,7 @@ class RunResult:
     episode: int = 0
     first_step: int = 0
     step_count: int = 0  # k
-    random_moves: int = 0  # taken because the run repeated itself
+    random_moves: int = 0  # number taken because the run repeated itself
     total_reward: float = 0.0  # sum of r[i], i = 0..k-1
     discounted_return: float = 0.0  # sum of gamma**i * r[i]
     final_state: str = ''  # in the domain's notation
@@ -80,7 +80,7 @@ class RunResult:
     truncated: bool = False
     execution: str = ''
     acted_names: tuple[str, ...] = ()  # options that acted, in order of first use
-    acted_steps: tuple[int, ...] = ()  # steps of each
+    acted_steps: tuple[int, ...] = ()  # number of steps of each
 
 
 def execution_named(name: str) -> Arbitration:
@@ -98,7 +98,7 @@ def execution_named(name: str) -> Arbitration:
 
 class Arbiter:
     """
-    Decides deterministically before each step, by the values of a plan, which option acts.
+    Decides before each step, by the values of a plan, which option acts; deterministic.
 
     :ivar execution: the rule of arbitration.
     :ivar modules: the options that compete in a modular execution.
@@ -154,7 +154,7 @@ class Arbiter:
         return self.modules[int(self._policy.choose(self._observe(state), _ONE)[0])]
 
     def _observe(self, state: Any) -> Observation:
-        """Return the observation of a state; exact values say where options can start."""
+        """Return the observation of a state; exact values show where options can start."""
         if self._actions is not None:
             return self._actions.observe_state(state)
         assert is_enumerable(self._domain)
@@ -176,11 +176,11 @@ class Run:
     """
     One run of an option, or of the modules of a plan, from its first state.
 
-    Call ``next_action`` and ``observe`` in turn. A run ends, in this order of precedence, with
-    REACHED if the option's termination condition holds, which is checked only after a step, even
-    if the episode ends there too (see ``RunResult.terminated`` and ``truncated``); EPISODE_OVER if
-    the task is over or the episode reaches its step limit; MAX_STEPS after ``max_steps`` steps.
-    Modules have no termination condition.
+    Call ``next_action`` and ``observe`` in turn. After a step, a run ends with the first status
+    that applies: REACHED if the termination condition of the option holds, even if the episode
+    also ends there (see ``RunResult.terminated`` and ``truncated``); EPISODE_OVER if the task is
+    over or the episode reaches its step limit; MAX_STEPS after ``max_steps`` steps. Modules have
+    no termination condition.
 
     ``Execution`` treats the run as an option, whichever module acts.
 
@@ -188,7 +188,7 @@ class Run:
     :ivar domain: domain of the game.
     :ivar state: current state of the game.
     :ivar acting: option that took the last action.
-    :ivar arbiter: stops the option, or chooses the module that acts; None: neither.
+    :ivar arbiter: arbiter that stops the option, or chooses the module that acts; None: none.
     """
 
     def __init__(
@@ -211,9 +211,9 @@ class Run:
         :param max_steps: maximum number of steps; 0: the option's limit, or the domain's for
             modules.
         :param rng: generator for sampled decisions; None: decisions are greedy.
-        :param unstick: generator of random moves where a run of the option repeats itself; None:
-            it takes none, and neither do modules or sampled decisions.
-        :raises RefusedError: it cannot run from here, or modules would have no step limit.
+        :param unstick: generator of random moves if the run repeats itself; None: no random moves.
+            Modules and sampled decisions never take any.
+        :raises RefusedError: the run cannot begin here, or modules would have no step limit.
         """
         self.name = '' if option is None else option.name
         self.max_steps = max_steps or (domain if option is None else option).max_steps
@@ -255,7 +255,7 @@ class Run:
 
     @property
     def random_moves(self) -> int:
-        """Number of random moves so far, because the run repeated itself."""
+        """Number of random moves so far, taken because the run repeated itself."""
         loops = self._execution.loops
         return 0 if loops is None else int(loops.moves[0])
 
@@ -343,7 +343,7 @@ class Run:
         return SeenRows([self], self.domain.feature_values(self.state)[None])
 
     def _cut_off(self) -> str:
-        """Return the length of the run as text, and its cycle if it certainly walked in one."""
+        """Return the length of the run as text, and its cycle if it is certain to be in one."""
         text, back = f'{self.max_steps} steps', self._path[::-1]
         if self._rng is None and is_deterministic(self.domain) and self.state in back:
             length, where = back.index(self.state) + 1, self.domain.encode(self.state)

@@ -1,16 +1,16 @@
 """
-Segments of a whole play: demonstrations of options, cut from one of the whole task.
+Segments of a play: demonstrations of options, cut from a demonstration of the whole task.
 
 P. Zang, P. Zhou, D. Minnen and C. Isbell (2009), "Discovering options from example trajectories",
-cuts trajectories where the task changes. Here the cuts are *events*: changes of nominal features
-that change rarely, such as what is carried, or whether a door is open. A person names the
-segments, joins neighbours by giving them the same name, and leaves out others by giving none.
+cut trajectories where the task changes. Here, the cuts are *events*: changes of nominal features
+that change rarely, such as the object carried, or whether a door is open. A person names the
+segments, joins neighbours by giving them the same name, and omits others by giving no name.
 
-How rarely is read from the data. Features that describe the stages of a task change a few times
-in a play; those that describe the surroundings, such as what is in front, change every few steps,
-if not in the play then in random walks, which are longer. So the logarithms of the rates have two
-groups, and N. Otsu's threshold (1979, "A threshold selection method from gray-level histograms")
-separates them with the least variance inside.
+The threshold for rare changes comes from the data. Features that describe the stages of a task
+change a few times in a play; those that describe the surroundings, such as the object in front,
+change every few steps, at least in random walks, which are longer. So the logarithms of the rates
+form two groups, and N. Otsu's threshold (1979, "A threshold selection method from gray-level
+histograms") separates them with the least variance within groups.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,7 +25,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
 import numpy as np
 
-WALKS, WALK = 4, 100  # random walks, and their steps
+WALKS, WALK = 4, 100  # random walks, and maximum steps of each
 OVER = 'the task is over'
 STOPPED = 'the play stops'
 
@@ -38,7 +38,7 @@ class Segment:
     :ivar play: the whole play.
     :ivar first: step of the first state.
     :ivar last: step of the last state.
-    :ivar end: what happened at the end, such as ``carrying: nothing -> key``.
+    :ivar end: events at the end, such as ``carrying: nothing -> key``.
     """
 
     play: Demonstration
@@ -48,7 +48,7 @@ class Segment:
 
     def demonstration(self, option_name: str, features: Sequence[str]) -> Demonstration:
         """
-        Return the demonstration of an option, without a number and a uuid.
+        Return the segment as a demonstration of an option, without a number and a uuid.
 
         :param features: names of the features that the option depends on.
         """
@@ -74,11 +74,11 @@ class Segment:
 
 def event_features(domain: ActableDomain, plays: Sequence[Demonstration]) -> tuple[str, ...]:
     """
-    Return the names of the nominal features whose changes are events, in the domain's order.
+    Return the names of nominal features with changes that are events, in the domain's order.
 
-    A feature that never changes marks no event. With one or two that do, both are events.
+    If only one or two nominal features change, all their changes are events.
 
-    :param plays: the more, the better the rates are known; one is enough.
+    :param plays: one or more plays; more of them give more accurate rates.
     """
     rates = _rates([play.feature_rows for play in plays])
     nominal = [feature.kind is FeatureKind.NOMINAL for feature in domain.features]
@@ -108,7 +108,7 @@ def _walk(domain: Domain, number: int) -> Rows:
 
 
 def _otsu(values: Floats) -> float:
-    """Return the threshold (N,) between two groups with the least variance inside them."""
+    """Return the threshold between two groups of values (N,) with the least variance within."""
     ordered = np.sort(values)
     inside = [
         ordered[:n].var() * n + ordered[n:].var() * (len(ordered) - n)
@@ -123,7 +123,7 @@ def cut(domain: ActableDomain, play: Demonstration, events: Iterable[str]) -> li
     Cut a play after each change of the given features; the last segment ends with the play.
 
     :param events: names of features.
-    :raises DomainError: a name is not that of a feature.
+    :raises DomainError: a feature is unknown.
     """
     columns = {feature.name: n for n, feature in enumerate(domain.features)}
     if unknown := set(events) - set(columns):
@@ -152,8 +152,8 @@ def joined(segments: Sequence[Segment], names: Sequence[str]) -> list[tuple[str,
     """
     Return the named segments of one play; neighbours with the same name become one.
 
-    :param segments: in order, as ``cut`` returns them.
-    :param names: option name of each segment; empty: it is left out.
+    :param segments: segments in order, as ``cut`` returns them.
+    :param names: option name of each segment; empty: the segment is omitted.
     """
     found = []
     for name, group in groupby(zip(names, segments), key=lambda pair: pair[0]):
@@ -167,13 +167,12 @@ def suggested_features(domain: ActableDomain, segments: Sequence[Segment]) -> tu
     """
     Suggest the features that an option depends on, from its segments.
 
-    They are those that change at an end, and the fewest that determine the actions: features are
-    added one at a time as long as that lowers the number of exceptions (steps with another action
-    than the most frequent one where the features are equal) plus the number of cases (different
-    values of the features), so that a feature must explain more than it splits. Continuous
-    features are compared by tenths of their range.
+    These are the features that change at an end, and a small set that determines the actions.
+    Features are added to the set one at a time, as long as this lowers the number of cases
+    (combinations of feature values) plus exceptions (steps without the most frequent action of
+    their case). Continuous features are compared by tenths of their range.
 
-    :param segments: of the same option.
+    :param segments: segments of the same option.
     """
     rows = np.concatenate([s.play.feature_rows[s.first : s.last] for s in segments])
     names = [name for s in segments for name in s.play.actions[s.first : s.last]]

@@ -2,8 +2,8 @@
 Escaping of text in CSV files for spreadsheets.
 
 A spreadsheet evaluates a cell that begins with =, +, -, @ or a control character as a formula.
-Such text is prefixed with an apostrophe, which marks it as text. So is text that already begins
-with an apostrophe before such a character, so ``from_cell`` restores every text exactly.
+``to_cell`` prefixes such text with an apostrophe, which marks it as text. It also prefixes text
+with apostrophes before such a character, so that ``from_cell`` restores every text exactly.
 """
 
 import re

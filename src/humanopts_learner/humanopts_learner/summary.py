@@ -10,7 +10,7 @@ import numpy as np
 
 SUCCESS, AGREEMENT, IMITATION = 'success', 'agreement', 'imitation'
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
-CRITERIA = {  # what each of them measures
+CRITERIA = {  # with the measured quantity
     SUCCESS: 'share of starts from which it reaches an end like a demonstrated one',
     AGREEMENT: 'share of held-out demonstrations that it would repeat',
     IMITATION: 'share of demonstrations with another end than the run from their start',
@@ -34,11 +34,11 @@ class Criterion:
 
     name: str  # one of CRITERIA
     value: float | None  # 0..1, or above for a return; None: not measurable yet
-    threshold: float | None  # smallest share, or largest error; None: there is none
+    threshold: float | None  # smallest share, or largest error; None: no threshold
     met: bool
     limit: float | None = None  # confidence limit that decides; None: the value decides
     count: int = 0  # number of starts or demonstrations evaluated
-    possible: float | None = None  # of success, if all ends not called wrong are right
+    possible: float | None = None  # value of success if all ends not called wrong are right
     obstacle: str = ''  # why more demonstrations cannot make it measurable; empty: they can
 
     @classmethod
@@ -72,7 +72,7 @@ class Criterion:
 
     @property
     def measurable(self) -> bool:
-        """Whether there are enough demonstrations of both classes to measure it."""
+        """Whether there are enough demonstrations of both classes."""
         return self.value is not None
 
     @property
@@ -82,7 +82,7 @@ class Criterion:
 
     @property
     def unanswered(self) -> bool:
-        """Whether it would be met if the person called the other ends of the option right."""
+        """Whether it would be met if the person called the option's unjudged ends right."""
         return not self.met and self.meets(self.possible)
 
     @property
@@ -112,18 +112,18 @@ class OptionSummary:
     n_questions: int = 0  # answered questions about runs of the option
     exam_right: int = 0  # runs in the exam of this version that the person called right
     exam_runs: int = 0
-    exam_needed: int = 0  # 0: there is no exam
+    exam_needed: int = 0  # required number of runs; 0: no exam
     exams_failed: int = 0  # exams of earlier versions that ended with a wrong run
-    evidence: str = ''  # of success: EVERY_START, SAMPLED_STARTS or RECORDED
+    evidence: str = ''  # evidence for success: EVERY_START, SAMPLED_STARTS or RECORDED
     ended_early: int = 0  # held-out demonstrations in which the option ends too early
-    ended_late: int = 0  # later than the person
-    ended_never: int = 0  # not within as many steps again
+    ended_late: int = 0  # the same, later than the person
+    ended_never: int = 0  # the same, not within twice the steps
     mean_return_demonstrations: float = math.nan  # undiscounted
     mean_return_policy: float = math.nan  # in-sample: from the same start states
-    gain: Interval = UNKNOWN  # of the policy over the demonstrations, from the same start states
-    more_needed: int = -1  # estimated further demonstrations; 0: none; -1: unknown
+    gain: Interval = UNKNOWN  # mean_return_policy - mean_return_demonstrations
+    more_needed: int = -1  # estimate of further demonstrations; 0: none; -1: unknown
     conflicts: tuple[str, ...] = ()  # situations with equal features but different labels
-    advice: tuple[str, ...] = ()  # on the chosen features, the most important first
+    advice: tuple[str, ...] = ()  # advice on the chosen features, the most important first
 
     @property
     def criteria_met(self) -> bool:
@@ -135,9 +135,9 @@ class OptionSummary:
     @property
     def settled(self) -> bool:
         """
-        Whether more demonstrations would change nothing.
+        Whether no more demonstrations are needed.
 
-        The criteria are then met, or will be if the person calls the ends of the option right.
+        All criteria are then met, or will be if the person calls the ends of the option right.
         """
         met = any(c.met for c in self.criteria)
         return met and all(c.met or c.obstacle or c.unanswered for c in self.criteria)
@@ -154,12 +154,12 @@ class OptionSummary:
 
     @property
     def learned(self) -> bool:
-        """Whether criteria and exam are passed."""
+        """Whether the criteria are met and the exam is passed."""
         return self.criteria_met and self.exam_passed
 
     @property
     def status(self) -> str:
-        """Whether the option is learned, and how sure that is, or what is missing."""
+        """Whether the option is learned and with what confidence, or what is missing."""
         if not self.criteria_met:
             return NOT_JUDGED if self.settled else NOT_MET
         runs = f'{self.exam_right} of {self.exam_runs} runs in the exam were right'
@@ -175,7 +175,7 @@ class OptionSummary:
 
     @property
     def result(self) -> str:
-        """Which criteria are met, as worded on screens."""
+        """Whether the criteria are met, as worded on screens."""
         if not self.settled:
             return 'Not all criteria are met.'
         if not self.criteria_met:
@@ -193,7 +193,7 @@ class OptionSummary:
 
     @property
     def reach(self) -> str:
-        """From how many starts the option succeeds, as worded on screens; empty: unknown."""
+        """Number of starts from which the option succeeds, as on screens; empty: unknown."""
         found = next((c for c in self.criteria if c.at_least and c.value is not None), None)
         if found is None or found.value is None:
             return ''
@@ -219,22 +219,22 @@ class PlanSummary:
     action_set: str
     option_names: tuple[str, ...] = ()  # columns of the action set
     gamma: float = 0.0  # discount per primitive step; 0: no plan
-    n_states: int = 0  # of the domain, or sampled abstract states
-    game_steps: int = 0  # for sampling models, or of recorded runs; 0: models are exact
-    recorded_runs: int = 0  # that the plan is from; 0: it is not from recorded runs
+    n_states: int = 0  # number of states or abstract states
+    game_steps: int = 0  # number of sampled or recorded steps; 0: models are exact
+    recorded_runs: int = 0  # number of recorded runs used
     table_seconds: float = 0.0  # evaluating options in every state
     model_seconds: float = 0.0  # building models, including game steps
     sweep_seconds: float = 0.0  # value iteration
     sweeps: int = 0
     residual: float = 0.0  # largest change of the last sweep, reward units
     converged: bool = False  # residual is at most the tolerance
-    evaluation_episodes: int = 0  # for the numbers below
+    evaluation_episodes: int = 0  # episodes for the results below
     mean_return: float = math.nan  # undiscounted, by the rules of the domain
     mean_return_low: float = math.nan  # 95 % confidence interval
     mean_return_high: float = math.nan
     mean_discounted_return: float = math.nan
     fallbacks: int = 0  # primitive actions taken because no option could start
-    random_moves: int = 0  # taken because an option repeated itself
+    random_moves: int = 0  # moves taken because an option repeated itself
     outcomes: Mapping[str, Interval] = field(default_factory=dict)  # reported by the domain
 
 
@@ -242,7 +242,7 @@ def share_right(right: int, runs: int, failed: int) -> Interval:
     """
     Return the share of right runs in an exam; its limits hold over all exams of an option.
 
-    :param failed: number of exams failed before.
+    :param failed: number of exams failed earlier.
     """
     return Interval.of_share(np.arange(runs) < right, 1 - (1 - LEVEL) / (failed + 1) ** 2)
 
@@ -251,7 +251,7 @@ def unmeasured(demonstrations: Sequence[Demonstration]) -> OptionSummary:
     """
     Return the summary of an option before learning.
 
-    :param demonstrations: one or more of the same participant and option, sorted by number.
+    :param demonstrations: one or more, of the same participant and option, sorted by number.
     """
     counted = shown(demonstrations)
     newest = (counted or demonstrations)[-1]

@@ -43,7 +43,7 @@ def board_html(board: Board, words: str = 'the board') -> str:
 
     The style sheet sets the colours of the classes of an SVG image.
 
-    :param words: read by screen readers.
+    :param words: description for screen readers.
     """
     label = html.escape(words)
     if board.image is not None:
@@ -73,7 +73,7 @@ def board_html(board: Board, words: str = 'the board') -> str:
 
 
 def _png(image: Image, label: str) -> str:
-    """Return an image as an element; its pixels are as they are drawn."""
+    """Return an image as an element of the same size in pixels."""
     height, width, _ = image.shape
     file = BytesIO()
     Pillow.fromarray(image).save(file, 'PNG')

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 NAME = 'humanopts'
 COMPLETE = '_HUMANOPTS_COMPLETE'  # set by the shell to get completions
 _UNWRITABLE = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # errors of standard output
-# Module that some commands need: extra of the package humanopts that installs it.
+# Optional module: extra of the package humanopts that installs it.
 _EXTRAS = {
     'humanopts_interfaces': 'ros',
     'nicegui': 'browser',
@@ -72,7 +72,7 @@ class OutsideCommand(TyperCommand):
 
 
 class Commands(CommandGroup):
-    """All commands, including those of the repository if it is available."""
+    """All commands, including those of the repository if available."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)

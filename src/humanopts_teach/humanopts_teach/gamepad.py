@@ -1,4 +1,4 @@
-"""A gamepad as a person's controls: the mapping file, and what each message of the pad means."""
+"""Control by gamepad: the mapping file, and the interpretation of messages."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,11 +25,11 @@ _ARROWS = 'up', 'down', 'left', 'right'
 
 
 class GamepadError(ValueError):
-    """A mapping file, or a message of a gamepad, cannot be used; the text says why."""
+    """A mapping file or a message of a gamepad cannot be used; the text says why."""
 
 
 class Deed(StrEnum):
-    """What a control does, if it is not an action of the world."""
+    """The effect of a control that is not an action of the world."""
 
     BEGIN = 'begin'
     DONE = 'done'
@@ -43,7 +43,7 @@ class Deed(StrEnum):
 
 
 def _word(value: Any) -> Any:
-    """Undo YAML 1.1, where yes and no are booleans."""
+    """Restore yes and no, which are booleans in YAML 1.1."""
     return {True: 'yes', False: 'no'}.get(value, value) if isinstance(value, bool) else value
 
 
@@ -67,9 +67,9 @@ class Input(BaseModel):
 
     def pressed(self, axes: Sequence[float], buttons: Sequence[int]) -> bool:
         """
-        Return whether it is pressed.
+        Return whether the input is pressed.
 
-        :raises GamepadError: the gamepad lacks it, or its value is not a number.
+        :raises GamepadError: the gamepad lacks the input, or its value is not a number.
         """
         name, plural, number = 'button', 'buttons', self.button
         values: Sequence[float] = buttons
@@ -90,13 +90,13 @@ class Input(BaseModel):
 
 
 class Binding(Input):
-    """What an input does: exactly one of action, key, other and do."""
+    """The effect of an input: exactly one of action, key, other and do."""
 
     action: str | None = None  # name of an action
     key: str | None = None  # the action with this key, if the world has one
     other: PositiveInt | None = None  # the n-th action without an arrow key, if there is one
     do: Annotated[Deed, BeforeValidator(_word)] | None = None
-    repeat: bool | None = None  # whether it acts again while held; None: an axis does
+    repeat: bool | None = None  # whether it repeats while held; None: only an axis does
 
     @model_validator(mode='after')
     def _check_effect(self) -> 'Binding':
@@ -106,7 +106,7 @@ class Binding(Input):
 
     @property
     def repeats(self) -> bool:
-        """Whether it acts again while held."""
+        """Whether the effect repeats while the input is held."""
         return self.axis is not None if self.repeat is None else self.repeat
 
     @property
@@ -129,7 +129,7 @@ def read_mapping(name: str = DEFAULT) -> GamepadMapping:
     Read a mapping file.
 
     :param name: path of the file, or ``DEFAULT``.
-    :raises GamepadError: it cannot be read, or is invalid.
+    :raises GamepadError: the file cannot be read, or is invalid.
     """
     path = Path(__file__).parent / 'gamepad.yaml' if name == DEFAULT else Path(name)
     try:
@@ -145,30 +145,31 @@ def read_mapping(name: str = DEFAULT) -> GamepadMapping:
 
 @dataclass(frozen=True)
 class Reading:
-    """What a person does with the gamepad."""
+    """The person's input in one message of the gamepad."""
 
-    held: bool = False  # the dead-man button
-    released: bool = False  # the dead-man button, in this message
-    action: str = ''  # of the control in use; empty: none
-    fresh: bool = False  # that control was pressed in this message
+    held: bool = False  # whether the dead-man button counts as held
+    released: bool = False  # whether it was released in this message
+    action: str = ''  # of the active control; empty: none
+    fresh: bool = False  # whether that control was pressed in this message
     repeats: bool = False
-    deeds: tuple[Deed, ...] = ()  # of the controls pressed in this message
+    deeds: tuple[Deed, ...] = ()  # of controls pressed in this message
 
 
 class Gamepad:
     """
-    Follows the messages of one gamepad.
+    Interprets the messages of one gamepad.
 
-    An action needs the dead-man button. It counts only after it has been seen released: a pad
-    that is plugged in with a pressed button moves nothing. Of several controls the one pressed
-    first acts until it is released.
+    Actions require the dead-man button, which counts only after it has been released once:
+    plugging in a pad with a pressed button moves nothing. Of several controls, the one pressed
+    first is active until it is released.
     """
 
     def __init__(self, mapping: GamepadMapping, actions: Sequence[Action]) -> None:
         """
-        Find the actions of the mapping.
+        Match the controls of the mapping to actions.
 
-        :raises GamepadError: the world has no action of a name in the mapping.
+        :raises GamepadError: the mapping names an unknown action, or controls no action of the
+            world.
         """
         self._mapping = mapping
         names, keys = {each.name: each.name for each in actions}, {a.key: a.name for a in actions}
@@ -190,13 +191,13 @@ class Gamepad:
         self.disarm()
 
     def disarm(self) -> None:
-        """Ignore what is pressed now until it is released: messages were missed."""
+        """Ignore the pressed controls until they are released, since messages were missed."""
         self._pressed: set[Binding] | None = None  # None: unknown
         self._armed = self._held = False
 
     def read(self, axes: Sequence[float], buttons: Sequence[int]) -> Reading:
         """
-        Return what the person does.
+        Return the person's input in a message.
 
         :raises GamepadError: an input of the mapping is missing, or its value is not a number.
         """

@@ -1,10 +1,10 @@
 """
-The language of what a person reads: GNU gettext, one PO file per language.
+The language of displayed texts: GNU gettext, one PO file per language.
 
-The texts in the code are English with the terms of the field. Participants of studies read another
-language; their English, ``en.po``, has plain words for these terms. What nodes publish and files
-record stays as in the code, so that bags and tables do not depend on the language; ``translated``
-translates such texts when they are displayed.
+The texts in the code are English, with technical terms. Participants of studies read another
+language, or English in plain words (``en.po``). Published messages and files keep the texts of the
+code, so that bags and tables do not depend on the language; ``translated`` translates such texts
+for display.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,10 +31,10 @@ _NAMES = {
     'participant',
     'similar',
     'who',
-}  # placeholders of what people typed
+}  # placeholders of texts typed by people
 P = ParamSpec('P')
 R = TypeVar('R')
-# Between texts that are joined: first sentences, then their parts.
+# Separators of joined texts: between sentences first, then within them.
 _JOINTS = tuple(map(re.compile, ('((?<=[.!?]) )', r'( \(|\))', '([,:;] | -> )')))
 _WITHIN_A_SENTENCE = '(?:(?![.!?] ).)*?'
 _DECIMAL = re.compile(r'-?\d+\.\d+')
@@ -56,18 +56,18 @@ _spoken = ContextVar('_spoken', default=_SOURCE)
 
 
 def languages() -> tuple[str, ...]:
-    """Return the codes of the languages that are included."""
+    """Return the codes of the included languages."""
     return tuple(sorted(path.stem for path in _FOLDER.glob('*.po')))
 
 
 @contextmanager
 def speaking(language: str) -> Iterator[None]:
     """
-    Speak a language in this context: this thread or task, and the tasks that it creates.
+    Set the language of this context: this thread or task, and the tasks that it creates.
 
-    :param language: one of ``languages``, or the path or the text of a PO file; empty: the texts
-        as in the code, for those who know the terms.
-    :raises LanguageError: it is unknown, or its file cannot be used.
+    :param language: one of ``languages``, or the path or contents of a PO file; empty: the texts
+        in the code, with technical terms.
+    :raises LanguageError: the language is unknown, or its file cannot be used.
     """
     token = _spoken.set(read_language(language))
     try:
@@ -77,7 +77,7 @@ def speaking(language: str) -> Iterator[None]:
 
 
 class Speaker(Protocol):
-    """An object whose methods speak its language."""
+    """An object with texts in its own language."""
 
     @property
     def language(self) -> str:
@@ -90,7 +90,7 @@ Spoken = TypeVar('Spoken', bound=Speaker)
 def in_its_language(
     method: Callable[Concatenate[Spoken, P], R],
 ) -> Callable[Concatenate[Spoken, P], R]:
-    """Let a method, or a function of a speaker, speak the language of that speaker."""
+    """Run a method, or a function that takes a speaker, in the language of that speaker."""
 
     @wraps(method)
     def speaks(speaker: Spoken, /, *args: P.args, **given: P.kwargs) -> R:
@@ -101,27 +101,27 @@ def in_its_language(
 
 
 def spoken() -> str:
-    """Return the code (BCP 47) of the language spoken here."""
+    """Return the code (BCP 47) of the current language."""
     return _spoken.get().tag
 
 
 def _(text: str) -> str:
-    """Return a text in the language spoken; its placeholders are filled in afterwards."""
+    """Return a text in the current language, with placeholders not filled in yet."""
     return _spoken.get().catalog.gettext(text) if text else ''
 
 
 def pgettext(context: str, text: str) -> str:
-    """Return a text that has several meanings."""
+    """Return a text in the current language; the context selects one of its meanings."""
     return _spoken.get().catalog.pgettext(context, text)
 
 
 def ngettext(one: str, more: str, count: int) -> str:
-    """Return the text for a count, with ``{count}`` not filled in yet."""
+    """Return the text for a count in the current language, with ``{count}`` not filled in yet."""
     return _spoken.get().catalog.ngettext(one, more, count)
 
 
 class Number(float):
-    """A number that people read: formatted, it has the decimal mark of the language spoken."""
+    """A number for display; formatting uses the decimal mark of the current language."""
 
     def __format__(self, spec: str) -> str:
         """Return the number in a format of ``float``."""
@@ -129,12 +129,12 @@ class Number(float):
 
 
 def N_(text: str) -> str:  # noqa: N802, the usual name
-    """Mark a text, or an f-string, that is translated when it is displayed."""
+    """Mark a text or f-string that is translated when it is displayed."""
     return text
 
 
 def translated(text: str) -> str:
-    """Return a text that was composed in English elsewhere, in the language spoken."""
+    """Return an English text, composed elsewhere, in the current language."""
     return _translated(_spoken.get(), text)
 
 
@@ -142,7 +142,7 @@ def translated(text: str) -> str:
 def _translated(language: _Language, text: str) -> str:
     if _DECIMAL.fullmatch(text):
         return text.replace('.', language.catalog.pgettext('decimal mark', '.'))
-    # The English text may begin with a capital, and end with a full stop, because of its place.
+    # As a sentence, the English text may have gained a capital letter and a full stop.
     stem = text.removesuffix('.')
     forms = dict.fromkeys((text, stem, text[:1].lower() + text[1:], stem[:1].lower() + stem[1:]))
     forms.pop('', None)
@@ -166,7 +166,7 @@ def _translated(language: _Language, text: str) -> str:
 
 
 def _in_place(text: str, form: str, found: str) -> str:
-    """Return the translation of a form of a text with its capital and its full stop."""
+    """Return the translation of a form with the capital letter and full stop of the text."""
     first = found[:1] if form[0] == text[0] else found[:1].upper()
     return f'{first}{found[1:]}{text[len(form) :]}'
 
@@ -174,9 +174,9 @@ def _in_place(text: str, form: str, found: str) -> str:
 @cache
 def read_language(language: str) -> _Language:
     """
-    Read a language, once.
+    Read a language; results are cached.
 
-    :raises LanguageError: it is unknown, or its file cannot be used.
+    :raises LanguageError: the language is unknown, or its file cannot be used.
     """
     if not language:
         return _SOURCE
@@ -193,7 +193,7 @@ def read_language(language: str) -> _Language:
 
 
 def _parsed(name: str, text: str) -> _Language:
-    """Parse the text of the PO file with a name."""
+    """Parse the contents of a PO file."""
     import polib  # not needed for English
 
     try:
@@ -221,7 +221,7 @@ def _parsed(name: str, text: str) -> _Language:
 
 
 def _pattern(source: str) -> re.Pattern[str]:
-    """Return a pattern of texts made from a template, with a group for each placeholder."""
+    """Return a pattern that matches the texts of a template, with a group for each placeholder."""
     pattern, end, seen = '', 0, set[str]()
     for field in _FIELD.finditer(source):
         name = field[1]

@@ -1,5 +1,5 @@
 """
-Plays of the whole task, from bags, tables and Minari datasets, and what becomes of their segments.
+Plays of the whole task, from bags, tables and Minari datasets, and storage of their segments.
 
 A play is a demonstration of the whole task; ``humanopts_learner.segments`` cuts it.
 """
@@ -33,7 +33,7 @@ from humanopts_teach.lesson.store import DemonstrationStore
 import numpy as np
 
 WHOLE_TASK = 'the whole task'
-Plays = Mapping[int, Demonstration]  # by the number of the episode
+Plays = Mapping[int, Demonstration]  # by episode number
 
 
 class PlayError(ValueError):
@@ -42,9 +42,9 @@ class PlayError(ValueError):
 
 def plays_in_bag(bag: Bag, episodes: Sequence[int] = ()) -> tuple[ActableDomain, Plays]:
     """
-    Return the episodes of a bag, by their number in it, as ``bag play`` counts them.
+    Return the episodes of a bag by number, as counted by ``bag play``.
 
-    Episodes of one state, or with missing steps, are left out, and noted in ``bag.damage``.
+    Episodes with a single state or missing steps are left out, and noted in ``bag.damage``.
 
     :param episodes: numbers of the episodes to read; none: all.
     :raises BagError: the bag does not name its domain, or has no such episode.
@@ -69,15 +69,15 @@ def plays_in_bag(bag: Bag, episodes: Sequence[int] = ()) -> tuple[ActableDomain,
 
 def plays_in_dataset(name: str, folder: Path | None = None) -> tuple[Domain, Plays]:
     """
-    Return the episodes of a Minari dataset on disk, by their number in it.
+    Return the episodes of a Minari dataset on disk by number.
 
-    States are restored by playing the recorded actions again; where an observation is a state, by
-    the observations.
+    States are restored by repeating the recorded actions, or from observations that identify
+    states.
 
-    :param folder: folder of Minari's datasets; None: Minari's own.
-    :raises PlayError: Minari is not installed, there is no such dataset, it was recorded in no
-        environment with a domain, or an episode cannot be repeated.
-    :raises DomainError: the environment cannot be made.
+    :param folder: folder of Minari's datasets; None: Minari's default.
+    :raises PlayError: Minari is not installed, the dataset does not exist or does not name its
+        environment, or an episode cannot be repeated.
+    :raises DomainError: the environment cannot be created.
     """
     try:
         import minari
@@ -142,7 +142,7 @@ Played = tuple[list[Any], list[float]]  # T + 1 states, T rewards
 
 
 def _played_again(env: DomainEnv, facts: Mapping[str, Any], actions: Sequence[int]) -> Played:
-    """Play an episode again in an environment of ours."""
+    """Repeat an episode in a humanopts environment."""
     env.reset(seed=facts.get('seed'), options=facts.get('options'))
     states, rewards = [env.state], []
     for action in actions:
@@ -152,7 +152,7 @@ def _played_again(env: DomainEnv, facts: Mapping[str, Any], actions: Sequence[in
 
 
 def _replayed(domain: Any, seed: int, actions: Sequence[int]) -> Played:
-    """Play an episode again in a world that is restored by replay."""
+    """Repeat an episode in a world that is restored by replay."""
     states, rewards = [domain.decode(f'seed {seed} actions -')], []
     for action in actions:
         outcome = domain.step(states[-1], action, np.random.default_rng(0))
@@ -168,15 +168,15 @@ def keep_segments(
     participant: str,
 ) -> dict[str, tuple[str, ...]]:
     """
-    Make segments the demonstrations of their options, in the folder of a lesson.
+    Add segments as demonstrations of their options to the folder of a lesson.
 
-    The lesson does it, so the same names, limits and checks hold as for those shown in it. If an
-    option is new, it depends on the features that its segments suggest.
+    A lesson adds them, so the same names, limits and checks apply as during teaching. A new
+    option depends on the features suggested by its segments.
 
     :param named: segments by option name.
     :return: the features of each option.
-    :raises PlayError: the lesson refuses something; earlier options are kept.
-    :raises StoreError: the folder cannot be written, or a lesson has it open.
+    :raises PlayError: the lesson refuses a request; earlier options are kept.
+    :raises StoreError: the folder cannot be written, or is used by a lesson.
     """
     chosen = {}
     with DemonstrationStore(folder / 'demonstrations') as store:

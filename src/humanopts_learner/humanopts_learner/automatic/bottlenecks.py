@@ -2,15 +2,16 @@
 Bottlenecks of greedy runs, and the initiation sets of the options that lead to them.
 
 M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", step 3: the most
-visited state is the target of an option. Its initiation set is the set of states from which it is
-reached and that have more visits than average on paths through it, completed to a contiguous
-region. Then the visits of all paths through the target are subtracted, and the step is repeated.
+visited state is the target of an option. Its initiation set consists of states from which the
+target is reached and that have more visits than average on paths through the target, completed to
+a contiguous region. Then the visits of all paths through the target are subtracted, and the step
+is repeated.
 
 Our changes: the visited states are cells. A cell in which runs have events (``status`` changes)
-gives one option for each kind of event, not one for reaching it. Initiation sets count only visits
-between the previous event and the target, since the path after the target does not lead to it. The
-region is completed with situations that have more than half of their neighbours in it, and loses
-states from which the target cannot be reached within it.
+gives one option for each kind of event, instead of one for reaching the cell. Initiation sets
+count only visits between the previous event and the target, since the path after the target does
+not lead to it. Situations with more than half of their neighbours in the region are added to it,
+and states from which the target cannot be reached within the region are removed.
 """
 
 from collections.abc import Iterator
@@ -65,7 +66,7 @@ class Visits:
 
     def before(self, arrivals: Ints) -> Ints:
         """
-        Return the states (N,) visited between the previous event and each of some visits.
+        Return the states (N,) visited between the previous event and each arrival.
 
         :param arrivals: (H,) indices of visits.
         """
@@ -109,7 +110,7 @@ def _options_to(visits: Visits, cell: int, total: int) -> Iterator[Bottleneck]:
 
 
 def _initiation(visits: Visits, arrivals: Ints, target: Flags) -> Flags:
-    """Return (S,): the initiation set of an option for a target."""
+    """Return (S,): the initiation set of an option that leads to a target."""
     space, situations = visits.space, visits.space.situation
     count = int(situations.max()) + 1
     counts = np.bincount(situations[visits.before(arrivals)], minlength=count)
@@ -118,10 +119,10 @@ def _initiation(visits: Visits, arrivals: Ints, target: Flags) -> Flags:
     apart = here != there
     ends = here[apart], there[apart]
     steps = coo_array((np.ones(len(ends[0])), ends), shape=(count, count)).tocsr()
-    neighbours = steps + steps.T  # whether a step connects two situations, in either direction
+    neighbours = steps + steps.T  # situations connected by a step in either direction
     neighbours.data[:] = 1.0
     half, before = neighbours.sum(axis=1) / 2, np.zeros_like(chosen)
-    while (chosen != before).any():  # add those with more than half of their neighbours inside
+    while (chosen != before).any():  # add situations with more than half of their neighbours
         before = chosen
         chosen = chosen | (neighbours @ chosen.astype(np.float64) > half)
     region: Flags = chosen[situations] & space.open & ~target
@@ -133,6 +134,6 @@ def _initiation(visits: Visits, arrivals: Ints, target: Flags) -> Flags:
 
 
 def _edges(space: SearchSpace, inside: Flags) -> tuple[Ints, Ints]:
-    """Return all possible steps from some states, as their ends (N,), (N,)."""
+    """Return the start and end state (N,) each of all possible steps from selected states."""
     possible = (space.transitions.probability > 0) & inside[:, None, None]
     return np.nonzero(possible)[0], space.transitions.successor[possible].astype(np.intp)

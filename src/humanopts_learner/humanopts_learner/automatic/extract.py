@@ -33,7 +33,7 @@ class AutomaticOption(TabularOption):
     """One option, as arrays over the states of the search space."""
 
     target: Bottleneck
-    reaches: float  # share of its initiation set from which a run reached its target
+    reaches: float  # share of the initiation set from which a run reached the target
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class AutomaticOptions:
     visits: Ints  # (K,) visits to each cell in all successful greedy runs
     seconds: float
     game_steps: int  # primitive steps of learning and of the greedy runs for bottlenecks
-    episodes: int  # of Q-learning: tasks and internal policies
+    episodes: int  # Q-learning episodes for tasks and internal policies
     solved: float  # share of greedy runs that reached their goals
 
 
@@ -72,11 +72,11 @@ def find_options(
     clock: Callable[[], float] = time.perf_counter,
 ) -> AutomaticOptions:
     """
-    Find options by the algorithm of Stolle and Precup (2002), with the changes in the package.
+    Find options by the algorithm of Stolle and Precup (2002), with the changes of this package.
 
-    :param domain: enumerable domain, or domain with its own search space.
+    :param domain: domain with states that can all be listed, or with its own search space.
     :param progress: called with the stages ``tasks`` and ``policies``.
-    :raises PlanError: no tasks can be set, none was learned, or no options were found.
+    :raises PlanError: no tasks can be set, no task was learned, or no options were found.
     :raises PlanCanceled: from ``progress``.
     """
     space, began = search_space(domain), clock()
@@ -134,11 +134,11 @@ def to_learned_options(
     """
     Convert automatic options to learned options, for saving, serving and planning.
 
-    Each depends on no more features than its tables require. The trees agree with the tables in
-    every state that an episode passes through: I and beta in all of them, and pi in I.
+    Each option depends on no more features than its tables require. The trees agree with the
+    tables in every state that an episode can pass through: I and beta in all of them, pi in I.
 
     :param found: automatic options of this domain.
-    :param participant: participant code of the options; begins with ``MACHINE``.
+    :param participant: participant code of the options, which begins with ``MACHINE``.
     :raises PlanError: the participant code has another prefix.
     :raises DomainError: two states with equal features have different table entries.
     """
@@ -164,7 +164,7 @@ def check_participant(code: str) -> None:
     """
     Check the participant code of automatic options.
 
-    :raises PlanError: it could be a person's code.
+    :raises PlanError: the code could be that of a person.
     """
     if not code.startswith(MACHINE):
         raise PlanError(

@@ -1,7 +1,7 @@
 """
 Subgoals, and parallel Q-learning of policies that reach them (Watkins 1989).
 
-Subgoals are first the goals of random tasks, and then the bottlenecks. ``Extraction`` documents
+Subgoals are first the goals of random tasks, and later the bottlenecks. ``Extraction`` documents
 the source of each search parameter.
 """
 
@@ -22,8 +22,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 Values = NDArray[np.float32]
-REPORT_EVERY = 200  # steps
-MAX_TABLES = 2**28  # table entries of all learners, 1 GiB
+REPORT_EVERY = 200  # steps between reports
+MAX_TABLES = 2**28  # maximum table entries of all learners, 1 GiB
 # Called with the stage (tasks or policies), the share done (0..1) and the game steps so far;
 # may raise ``PlanCanceled`` to stop.
 Progress = Callable[[str, float, int], object]
@@ -41,15 +41,15 @@ class Extraction:
     :raises PlanError: a parameter is out of range.
     """
 
-    options: int = 25  # maximum number
+    options: int = 25  # maximum number of options
     tasks: int = 400  # usual: 20, which misses some bottlenecks
-    train_episodes: int = 200  # of Q-learning per task, N_train: usual
-    test_runs: int = 10  # greedy runs per task, N_test: usual
-    option_episodes: int = 2000  # per option; usual: 200, but these start anywhere in I
+    train_episodes: int = 200  # Q-learning episodes per task, N_train (usual)
+    test_runs: int = 10  # greedy runs per task, N_test (usual)
+    option_episodes: int = 2000  # per option; usual: 200, but ours start anywhere in I
     learning_rate: float = 0.1  # usual
-    explore: float = 0.1  # share of random actions while learning: usual
-    gamma: float = 0.9  # while learning: usual; the reward is 1 at the target, 0 elsewhere
-    max_steps: int = 1000  # per episode or greedy run: ours
+    explore: float = 0.1  # share of random actions while learning (usual)
+    gamma: float = 0.9  # while learning (usual); the reward is 1 at the target, 0 elsewhere
+    max_steps: int = 1000  # maximum steps per episode or greedy run (ours)
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -69,8 +69,8 @@ class Subgoals:
 
     starts: Ints  # (M,) start states of the first learner, then of the second, ...
     counts: Ints  # (L,) number of start states of each learner, 1 or more; drawn per episode
-    target: Flags  # (L, S) reward 1; ends the episode
-    forbidden: Flags  # (L, S) reward 0; ends the episode too
+    target: Flags  # (L, S) states with reward 1 that end the episode
+    forbidden: Flags  # (L, S) states with reward 0 that end the episode
 
     @cached_property
     def first(self) -> Ints:
@@ -88,9 +88,9 @@ def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Subg
     """
     Draw tasks (Stolle and Precup 2002, step 1).
 
-    The goal of a task is a different state, such that start and goal can be reached from each
-    other; or the domain's own goal, if its episodes have random goals. A task also ends, without
-    reward, if the domain's own task is over.
+    The goal of a task is a state other than its start, and each can be reached from the other. If
+    episodes of the domain have random goals, the domain's own goal is used instead. A task also
+    ends, without reward, if the domain's own task is over.
 
     :raises PlanError: no two states can be reached from each other, so there are no tasks.
     """
@@ -152,7 +152,7 @@ class Trainer:
         config, count = self._config, len(subgoals.counts)
         values, live = np.zeros((count, *self._shape), dtype=np.float32), np.arange(count)
         state = subgoals.draw(live, rng)
-        ran, episode = np.zeros((2, count), dtype=np.intp)  # steps in episode; episodes finished
+        ran, episode = np.zeros((2, count), dtype=np.intp)  # steps in episode; finished episodes
         for rounds in itertools.count(1):
             here = state[live]
             explore = rng.random((len(live), 1)) < config.explore

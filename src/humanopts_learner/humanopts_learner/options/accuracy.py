@@ -9,8 +9,8 @@ Each part is measured where it is used:
 
 - pi in the states of the reference's initiation set where the task is not over;
 - I in all reachable states where the task is not over;
-- beta where the option can be after a step: in its initiation set, and in states outside it that
-  one of its optimal actions leads to. Beta in a room that the option never enters is irrelevant.
+- beta where the option can be after a step: in its initiation set, and in states to which one of
+  its optimal actions leads. Beta in a room that the option never enters is irrelevant.
 """
 
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ def policy_accuracy(option: LearnedOption, domain: Domain, reference: ReferenceO
     """
     Return the share of states in which the most likely action is optimal.
 
-    :return: 0..1; NaN if the reference can start nowhere.
+    :return: 0..1; NaN if the reference cannot start anywhere.
     :raises OptionError: the option was not learned in this domain.
     """
     option.check_domain(domain)
@@ -75,11 +75,11 @@ def average_returns(
 
     Runs start where the reference option can start, in the same states and with the same random
     numbers for every option. They end where the reference option ends, when the task is over, or
-    after ``MAX_RUN_STEPS``: the learned beta is measured separately, and ending runs too early
-    would save the cost of steps.
+    after ``MAX_RUN_STEPS``. The learned beta is not used: it is measured separately, and ending
+    too early would save the cost of steps.
 
     :param options: learned options; None: the reference itself, with its first optimal action.
-    :return: NaN if the reference can start nowhere.
+    :return: NaN if the reference cannot start anywhere.
     :raises OptionError: an option was not learned in this domain.
     """
     for option in options:
@@ -140,7 +140,7 @@ def classification_accuracy(
     """
     Return the shares of states in which I and beta agree with the reference.
 
-    :return: 0..1; NaN for beta if the reference can start nowhere.
+    :return: 0..1; NaN for beta if the reference cannot start anywhere.
     :raises OptionError: the option was not learned in this domain.
     """
     option.check_domain(domain)
@@ -190,7 +190,7 @@ def _sample(game: KeyedDomain) -> Games:
 
 @lru_cache(maxsize=32)
 def _of_a_sample(game: KeyedDomain, reference: ReferenceOption) -> _Answers:
-    """Return answers for a sample, with ends added by one optimal step from acting states."""
+    """Return answers for a sample, with ends reached by one optimal step from acting states."""
     domain, games = game.value, _sample(game)
     rows, judged = games.features(), judge_games(reference, games)
     acts = judged.initiation

@@ -1,12 +1,12 @@
 """
 Questions about runs of an option that its demonstrations leave open.
 
-Criteria compare an option with what was shown, and an exam of few runs finds only common errors. A
-question shows one run and is answered by one key, so it is asked where the answer says most: about
-ends and changes that were never shown, starts unlike all shown ones, states where I is a guess,
-and ways that are shorter than shown or longer than necessary. *Yes* is evidence for all runs that
+Criteria compare an option with its demonstrations, and an exam of few runs finds only common
+errors. A question shows one run and is answered with one key. Questions are about ends and changes
+that were never shown, starts unlike all demonstrated ones, states where I is a guess, and runs
+that are shorter than demonstrated or longer than necessary. *Yes* is evidence for all runs that
 are alike in this respect; *no* leads to a demonstration. Questions of one kind are asked until at
-most ``UNASKED`` of the runs are left.
+most the share ``UNASKED`` of the runs is left.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -43,26 +43,26 @@ from humanopts_learner.options.rollout import (
 from humanopts_learner.options.starts import possible_starts
 import numpy as np
 
-MAX_CHECKS = 12  # questions between two demonstrations
-MAX_ENDS = 8  # of them about ends, which may be too many to ask about each
-UNASKED = 0.05  # share of the runs that no question is asked for
-COMMITTEE = 40  # sets of features drawn for a committee
-SOME = 0.2  # share of a committee that is a reason to ask
-RUNS = 200  # runs, if states cannot be listed
-FEW = 8  # values of a feature up to which each is compared; of others, PARTS of the range are
-PARTS = 4
-FEW_IN_PAIRS = 4  # values of a feature up to which pairs of values are compared
+MAX_CHECKS = 12  # maximum number of questions between two demonstrations
+MAX_ENDS = 8  # number of questions after which none is about an end
+UNASKED = 0.05  # share of the runs up to which no question is asked
+COMMITTEE = 40  # number of feature sets drawn for a committee
+SOME = 0.2  # share of a committee that must dissent to justify a question
+RUNS = 200  # number of runs, if the option cannot be run from all states
+FEW = 8  # maximum number of feature values compared one by one
+PARTS = 4  # parts of the range that are compared if there are more values
+FEW_IN_PAIRS = 4  # maximum number of feature values compared in pairs
 
 
 class CheckKind(Enum):
     """What a question is about."""
 
-    END = 'end'  # an end or a change like none that was shown
+    END = 'end'  # an end or a change unlike any that was shown
     VALUE = 'value'  # a value of a chosen feature that was never shown
     CONSTANT = 'constant'  # a start that differs in a feature that was always the same
     OUTSIDE = 'outside'  # a state outside I without evidence
     INSIDE = 'inside'  # a state in I that other features would exclude
-    SHORTER = 'shorter'  # a plan that takes fewer steps than its demonstrations
+    SHORTER = 'shorter'  # a run that takes fewer steps than its demonstration
     DETOUR = 'detour'  # a run that takes more steps than necessary
 
 
@@ -71,13 +71,13 @@ class Check:
     """A run of an option, with the fields of a ``Demonstration``, and a question about it."""
 
     kind: CheckKind
-    text: str  # answered by yes, if the run is right, or by no
+    text: str  # the question; yes means that the run is right
     states: tuple[str, ...]  # T + 1; T = 0: the option would not start there
     features: tuple[tuple[float, ...], ...]  # T + 1 rows of all features
     actions: tuple[str, ...] = ()  # T
     rewards: tuple[float, ...] = ()  # T
     terminated: bool = False
-    compared: tuple[str, ...] = ()  # states of the demonstration to compare it with; empty: none
+    compared: tuple[str, ...] = ()  # states of a demonstration for comparison; empty: none
 
 
 def next_check(
@@ -92,9 +92,9 @@ def next_check(
     """
     Return the next question about an option.
 
-    :param demonstrations: those of this participant and option, with the judged runs.
+    :param demonstrations: all of this participant and option, with the judged runs.
     :param others: as in ``choose_start_state``.
-    :param every_end: ask about rare ends, too: the criteria depend on them.
+    :param every_end: whether to ask about rare ends, too, if criteria depend on them.
     :return: None: answers would change little, or the domain can only be acted in.
     :raises OptionError: the option was not learned in this domain.
     """
@@ -121,18 +121,18 @@ def next_check(
 class _Starts:
     """N states, and the runs of an option from those in I."""
 
-    state: Callable[[int], Any]  # by index
+    state: Callable[[int], Any]  # state by index
     rows: Rows  # (N, F)
-    passed: Rows  # (N, F) rows, or of a run the first with a nominal value that was never shown
+    passed: Rows  # (N, F) first row of each run with a nominal value never shown; else its start
     runs: Flags  # (N,) in I, and the run ends by beta or with the task over
     last: Rows  # (N, F) features where it ends
-    over: Flags  # (N,) whether the task is over there
-    steps: Ints  # (N,) of the runs
+    over: Flags  # (N,) whether the task is over at the end
+    steps: Ints  # (N,) length of each run
     unknown: Flags  # (N,) runs with an end unlike all that were shown or called right
-    outside: Flags  # (N,) may be a start, but is outside I
-    detour: Flags  # (N,) runs that are longer than necessary, as they were often shown
-    distance: Ints  # (N,) necessary number of steps, if it is known
-    seeds: Ints  # (N,) of chance in the runs
+    outside: Flags  # (N,) possible starts outside I
+    detour: Flags  # (N,) runs longer than necessary, but often demonstrated
+    distance: Ints  # (N,) necessary number of steps, if known
+    seeds: Ints  # (N,) random seeds of the runs
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class _Questions:
 
     def new_ends(self, few: float) -> Iterator[Check]:
         """
-        Ask about the commonest end that was never shown, or change from start to end.
+        Ask about the most common end, or change from start to end, that was never shown.
 
         :param few: as in ``_ask``.
         """
@@ -178,7 +178,7 @@ class _Questions:
         )
 
     def new_values(self) -> Iterator[Check]:
-        """Ask about a run from or through the commonest values that were never shown."""
+        """Ask about a run from or through the most common values that were never shown."""
         runs = [run for run in self.known if run.actions]
         seen = np.concatenate([run.feature_rows for run in runs])
         first = np.stack([run.feature_rows[0] for run in runs])
@@ -193,9 +193,9 @@ class _Questions:
     def _unlike(
         self, kind: CheckKind, columns: Sequence[FeatureColumn], rows: Rows, known: Rows, what: str
     ) -> Iterator[Check]:
-        """Ask about a start whose row (N, F) has values that are in no known rows (M, F)."""
+        """Ask about a start if its row (N, F) has values that no known row (M, F) has."""
         starts = self.starts
-        share = np.zeros((len(columns), len(rows)))  # starts with the same new value
+        share = np.zeros((len(columns), len(rows)))  # number of starts with the same new value
         for number, column in enumerate(columns):
             part = _parts(column, rows)
             here = part(rows)
@@ -229,9 +229,9 @@ class _Questions:
 
     def _new_pairs(self) -> Floats:
         """
-        Return (N,): the number of pairs of values that no start and no answer has shown.
+        Return (N,): the number of value pairs that no demonstration or answer contains.
 
-        The features that were not chosen count, too, since one of them may be missing.
+        Features that were not chosen count, too, since the person may have missed one.
         """
         names = {*self.option.features, *(feature.name for feature in self.domain.features)}
         every = feature_columns(self.domain, names)
@@ -246,7 +246,7 @@ class _Questions:
         return total
 
     def shorter(self) -> Iterator[Check]:
-        """Ask if runs are shorter than demonstrations by more than their spread."""
+        """Ask about the run that saves the most steps, if savings are typical or large."""
         starts, domain = self.starts, self.domain
         assert is_deterministic(domain)
         demos = {run.states[0]: run for run in shown(self.known) if run.actions}
@@ -290,12 +290,12 @@ class _Questions:
         few: float = UNASKED,
     ) -> Iterator[Check]:
         """
-        Yield a question about one of the best starts, unless they are few.
+        Yield a question about the best new start, unless there are few such starts.
 
-        :param among: (N,) from which starts.
-        :param best: (N,) the largest come first.
-        :param text: returns the question, with ``{}`` for the number of steps.
-        :param few: share of the runs up to which nothing is asked.
+        :param among: (N,) whether to consider each start.
+        :param best: (N,) priority of each start.
+        :param text: function that returns a question with ``{}`` for the number of steps.
+        :param few: share of the runs up to which no question is asked.
         """
         if among.sum() <= few * self.starts.runs.sum():
             return
@@ -319,7 +319,7 @@ def _starts(
     others: Sequence[Option],
 ) -> _Starts:
     """
-    Run an option from all states of a deterministic domain, or else from a sample.
+    Run an option from all states of a deterministic domain, or from a sample of other domains.
 
     :param known: as in ``_Questions``.
     """
@@ -341,7 +341,7 @@ def _starts(
             np.zeros(len(rows), dtype=np.intp),
         )
     drawn = possible_starts(domain, rng, others)
-    times = 1 + is_enumerable(domain) * (RUNS // len(drawn.states))  # another run, another end
+    times = 1 + is_enumerable(domain) * (RUNS // len(drawn.states))  # repeated runs may differ
     states, askable = drawn.states * times, np.tile(drawn.askable, times)
     rows = feature_rows(domain, states)
     seeds = rng.integers(2**31, size=len(states))
@@ -352,7 +352,7 @@ def _starts(
         for column in feature_columns(domain, option.features)
         if column.feature.kind is FeatureKind.NOMINAL
     ]
-    waits = np.ones(len(at), dtype=np.bool_)  # for a value that was never shown
+    waits = np.ones(len(at), dtype=np.bool_)  # until a value is found that was never shown
 
     def on_step(step: int, execution: Execution[SeenRows], seen: SeenRows, games: Games) -> None:
         new = waits[execution.games]
@@ -374,7 +374,8 @@ def _starts(
     )
     ends = KnownEnds(domain, option.features, demonstrations)
     unlike = ~ends.like_shown(ran.rows, ran.over, ran.last_reward)
-    reached = ran.reached & ~(ran.over & unlike & (not without_chance(domain)))  # bad luck: no end
+    # Bad luck is not an end.
+    reached = ran.reached & ~(ran.over & unlike & (not without_chance(domain)))
     ended[at], over[at], steps[at], last[at] = reached, ran.over, ran.steps, ran.rows
     unknown[at] = reached & unlike
     outside = askable & ~option.can_start(rows)
@@ -383,7 +384,7 @@ def _starts(
 
 
 def _parts(column: FeatureColumn, rows: Rows) -> Callable[[Rows], Floats]:
-    """Return how values of a feature are compared: each, or by parts of their range in rows."""
+    """Return a function from rows to compared values: feature values, or parts of their range."""
     values = np.unique(column.values(rows))
     if column.feature.kind is FeatureKind.NOMINAL or len(values) <= FEW:
         return column.values
@@ -397,8 +398,8 @@ def _votes(
     """
     Return (N,): the share of a committee by which an option can start in rows (N, F).
 
-    The committee are trees of I over random features that explain all demonstrations and answers
-    as well as the chosen features do (query by committee, as ``committee_disagrees``).
+    The committee consists of trees of I over random features that explain all demonstrations and
+    answers as well as the chosen features do (query by committee, as ``committee_disagrees``).
     """
     data = make_dataset(runs, domain)
     judged_rows = [run.feature_rows[:1] for run in judged(runs)]
@@ -430,9 +431,9 @@ def _check(
     kind: CheckKind, option: LearnedOption, domain: Domain, state: Any, seed: int, text: str
 ) -> Check:
     """
-    Return a question with the run from a state.
+    Return a question about the run from a state.
 
-    :param text: with ``{}`` for the number of steps.
+    :param text: question, with ``{}`` for the number of steps.
     """
     games, options = games_at(domain, [state]), RowOptions([option])
     execution = Execution(options, Fixed(np.zeros(1, dtype=np.intp)), 1)

@@ -2,11 +2,11 @@
 Situations that the chosen features cannot distinguish, and advice on the features to choose.
 
 Examples with equal chosen features but different labels limit the accuracy of any policy,
-initiation set or termination condition over these features. A feature that separates them by
-chance is easily found among many, so one is suggested only if it explains more than it would if
-the labels of whole demonstrations were shuffled (a permutation test; Fisher 1935), at a level that
-holds for all features together (Bonferroni). What tells the end comes first, since an option with
-a wrong end is useless; then what separates answers and actions.
+initiation set or termination condition over these features. Among many features, some separate
+such examples by chance. So a feature is suggested only if it explains more than it would with
+shuffled labels (a permutation test; Fisher 1935), at a level that holds for all features together
+(Bonferroni). Features that separate ends come first, since an option with a wrong end is useless;
+then those that separate starts, and actions.
 """
 
 from collections import Counter
@@ -25,12 +25,12 @@ from humanopts_learner.options.learned_option import LearnedOption, MEMBER
 import numpy as np
 
 MAX_TEXTS = 10
-SHUFFLES = 2000  # least number of shuffles, to find out what a feature explains by chance
-TRIED = 5  # features that are tested: those that explain most
-TENTHS = 10  # equal parts of the range of a continuous feature; values in one count as equal
-MIN_SHOWN = 2  # demonstrations from which advice about ends is drawn
-MIN_UNUSED = 10  # demonstrations that show that a chosen feature is needless
-WORSE = 0.25  # largest share of them in which the option would then do worse
+SHUFFLES = 2000  # minimum number of shuffles in a permutation test
+TRIED = 5  # maximum number of features tested; those that explain the most come first
+TENTHS = 10  # number of intervals of a continuous feature; values in one count as equal
+MIN_SHOWN = 2  # minimum number of demonstrations for advice about ends
+MIN_UNUSED = 10  # minimum number of demonstrations to call a chosen feature needless
+WORSE = 0.25  # maximum share of demonstrations in which the option does worse without it
 UNTOLD = 'Nothing that you chose tells where it ends: choose what changes there.'
 SAY_AGAIN = 'If the option can start where it ends, say so before done.'
 
@@ -57,7 +57,7 @@ def advise(data: Dataset, domain: ActableDomain) -> tuple[str, ...]:
     whole = Examples.of((demo.feature_rows, [0] * len(demo.actions) + [MEMBER]) for demo in demos)
     looks = _looks(whole.rows, data.chosen)
     ends = whole.labels == MEMBER
-    not_over = [not demo.terminated for demo in demos]  # ends where it could start again
+    not_over = [not demo.terminated for demo in demos]  # ends where the option could start again
     first = np.append(True, ends[:-1])
     like_any, like_passed = (np.isin(looks[ends], looks[rows]) for rows in (~ends, ~ends & ~first))
     shown = len(demos) >= MIN_SHOWN
@@ -83,14 +83,14 @@ def find_needless(
     held_out: Sequence[LearnedOption], data: Dataset, folds: Ints, domain: ActableDomain
 ) -> tuple[str, ...]:
     """
-    Return advice on the chosen feature that is used least, if the option does without it.
+    Return advice on the least used chosen feature, if the option does not need it.
 
-    It is one that I and beta do not use. Policies are relearned without it and tested on the
-    demonstrations that they were not learned from. It is needless if they do worse in few of
-    these: the upper limit of their share counts.
+    I and beta must not use it. Policies are relearned without it, and tested on the demonstrations
+    that they were not learned from. It is needless if the share of those in which they do worse
+    has a small upper limit.
 
     :param held_out: options learned without each fold.
-    :param folds: (D,) of the demonstrations.
+    :param folds: (D,) fold of each demonstration.
     """
     if data.method != TREES or len(data.chosen) < 2 or len(data.trajectories) < MIN_UNUSED:
         return ()
@@ -106,7 +106,7 @@ def find_needless(
     encoding = [each for each in data.encoding if each.feature != least]
     rows, labels = data.policy.rows, data.policy.labels
     X, of_row = encode_rows(encoding, rows), folds[data.policy.source]
-    worse = np.zeros(len(folds), dtype=np.intp)  # more errors without the feature
+    worse = np.zeros(len(folds), dtype=np.intp)  # additional errors without the feature
     for fold, option in enumerate(held_out):
         out = of_row == fold
         without = fit_tree(
@@ -145,7 +145,7 @@ def contradiction(
     With the method ``goal``, actions are not compared, because nothing is learned from them.
 
     :param earlier: valid demonstrations of the same option, sorted by number.
-    :return: None: it agrees with an earlier demonstration in every known situation.
+    :return: None: the newest agrees with an earlier demonstration in every known situation.
     """
     if not any(demo.kind is Kind.TRAJECTORY for demo in (newest, *earlier)):
         return None
@@ -179,9 +179,9 @@ def contradiction(
 
 def _parts(data: Dataset) -> Iterator[tuple[Examples, Sequence[str]]]:
     """
-    Yield examples of beta, I and policy, and words for labels.
+    Yield examples of beta, I and policy, with words for the labels.
 
-    Of I, there is only what the person said: the ends of demonstrations are not refused.
+    Only "not here" answers are negative examples of I, not the ends of demonstrations.
     """
     yield data.termination, ('not the end', 'the end')
     labelled = []
@@ -196,7 +196,7 @@ def _parts(data: Dataset) -> Iterator[tuple[Examples, Sequence[str]]]:
 def _conflicts(
     examples: Examples, chosen: Sequence[FeatureColumn], words: Sequence[str]
 ) -> Iterator[tuple[int, str]]:
-    """Yield situations with different labels, as number of examples and text."""
+    """Yield situations with different labels, each as a number of examples and a text."""
     looks = _looks(examples.rows, chosen)
     pairs = np.unique(np.stack([looks, examples.labels]), axis=1)[0]
     for number in np.flatnonzero(np.bincount(pairs) > 1):
@@ -225,19 +225,19 @@ def _missing(
     first: Flags | None = None,
 ) -> str:
     """
-    Return the feature that explains most exceptions from what the chosen features tell.
+    Return the feature that best explains labels that the chosen features do not explain.
 
     :param left: the other features.
-    :param blocks: (N,) labels are shuffled within these; None: within equal chosen features.
+    :param blocks: (N,) groups within which labels are shuffled; None: rows with equal features.
     :param first: (N,) starts, which count only if labelled as ends; None: all examples count.
-    :return: empty: none explains more than it would by chance.
+    :return: the feature; empty: none explains more than it would by chance.
     """
     labels, looks = examples.labels, _looks(examples.rows, chosen)
     blocks = looks if blocks is None else blocks
     in_order = np.argsort(blocks, kind='stable')
 
     def exceptions(cells: Ints, labels: Ints) -> int:
-        """Return how many examples do not have the most frequent label of their cell."""
+        """Return the number of examples without the most frequent label of their cell."""
         if first is not None:
             counted = ~first | (labels == MEMBER)
             cells, labels = cells[counted], labels[counted]
@@ -271,7 +271,7 @@ def _missing(
 
 
 def _one_per_demonstration(examples: Examples, chosen: Sequence[FeatureColumn]) -> Examples:
-    """Return the first example of each demonstration in each situation: others repeat it."""
+    """Return the first example of each demonstration in each situation; later ones repeat it."""
     key = np.stack([_looks(examples.rows, chosen), examples.source])
     first = np.unique(key, axis=1, return_index=True)[1]
     return Examples(examples.rows[first], examples.labels[first], examples.source[first])

@@ -21,8 +21,8 @@ from pydantic import Field
 
 Formula = Annotated[Text, Field(pattern=r'x\[')]
 LEAF = -1  # value of left, right and feature in a leaf
-FEW_PATHS = 50  # up to which each row and tree on its own takes less time than arrays
-FEW_NODES = 25  # up to which all tests of a tree take less time than the paths of the rows
+FEW_PATHS = 50  # number of rows times trees up to which a loop is faster than arrays
+FEW_NODES = 25  # number of nodes up to which testing all of them is faster than following paths
 
 
 class TreeError(ValueError):
@@ -34,7 +34,7 @@ class EncodedFeature:
     """One input of a tree: a feature, or whether a nominal feature has a value."""
 
     feature: Text
-    index: Count | Formula  # of the feature in the domain; derived: formula over such indices
+    index: Count | Formula  # feature index in the domain, or a formula over indices if derived
     value: Count | None = None  # None: the feature itself; otherwise 1 at this value, else 0
 
 
@@ -56,7 +56,7 @@ def feature_encoding(domain: ActableDomain, features: Sequence[str]) -> tuple[En
 
 
 class Encoder:
-    """Encodes rows, using arrays for the encoding."""
+    """Encodes rows of features as inputs of trees."""
 
     def __init__(self, encoding: Sequence[EncodedFeature], tested: Ints | None = None) -> None:
         """
@@ -106,7 +106,7 @@ class Tree:
     A decision tree with class counts, or a forest of R trees, one after another in its arrays.
 
     Axes: N nodes, the first root first and every child after its parent; K classes. A row goes
-    left if its feature is at most the threshold. A forest gives the mean of the shares in the
+    left if its feature is at most the threshold. A forest predicts the mean of the shares in the
     leaves of its trees (bagging, Breiman 1996).
     """
 
@@ -169,7 +169,7 @@ class Tree:
                         place = right if row[feature] > threshold else left
                     found.append(place)
             return np.array(found, dtype=np.intp).reshape(-1, n_trees)
-        if len(self.left) <= FEW_NODES and n_trees == 1:  # backwards, with all rows at once
+        if len(self.left) <= FEW_NODES and n_trees == 1:  # from leaves to root, all rows at once
             leaf: list[Any] = [*range(len(self.left))]
             for at, left, right, feature, threshold in self._tests:
                 leaf[at] = np.where(values[:, feature] > threshold, leaf[right], leaf[left])
@@ -257,10 +257,10 @@ def fit_tree(
     :param y: (N,) labels.
     :param classes: all possible labels, ascending; those not in y have count 0.
     :param seed: random seed for choosing between equally good splits.
-    :param n_trees: more than one: a forest, by bagging (Breiman 1996).
-    :param min_leaf: smallest number of examples in a leaf.
-    :param min_gain: least decrease of the Gini impurity, in examples, by each leaf of a subtree;
-        others are pruned (minimal cost-complexity pruning; Breiman et al. 1984).
+    :param n_trees: number of trees; more than one: a forest, by bagging (Breiman 1996).
+    :param min_leaf: minimum number of examples in a leaf.
+    :param min_gain: minimum decrease of Gini impurity, in examples, per leaf of a subtree; other
+        subtrees are pruned (minimal cost-complexity pruning; Breiman et al. 1984).
     :raises ValueError: there are no rows, or a label is not among the classes.
     """
     if len(X) == 0 or not np.isin(y, classes).all():
@@ -283,7 +283,7 @@ def fit_tree(
         else:
             from sklearn.ensemble import RandomForestClassifier
 
-            # People choose few features; among random ones, splits often miss the one that counts.
+            # People choose few features; random subsets of them would often lack the relevant one.
             classifier = RandomForestClassifier(n_trees, max_features=None, **usual).fit(X, y)
             trees = [each.tree_ for each in classifier.estimators_]
     ends = np.cumsum([tree.node_count for tree in trees])

@@ -1,14 +1,14 @@
 """
-The exam of an option: runs that the person watched, and how many of them must be right.
+The exam of an option: runs that the person watched, all of which must be right.
 
-The starts are drawn as the task draws them, so the share of right runs is that of all starts, with
-the interval of Wilson (1927). All runs of an exam must be right. After a failed exam, another is
-taken, and passing one of several by luck is likelier than passing the only one. So exam number k
-has more runs: it gives the same lower limit at a confidence of 1 - 0.05 / k**2. An option with
-exactly that share of right runs, 57 % if the first exam has 5, passes the first exam with a
-probability of 0.06, and any of all its exams with one below 0.07.
+Starts are drawn as the task draws them, so the share of right runs estimates that of all starts,
+with the interval of Wilson (1927). After a failed exam, another one is taken, and passing one of
+several by luck is more likely than passing a single one. So exam number k has more runs: it gives
+the same lower limit at a confidence level of 1 - 0.05 / k**2. An option with exactly that share of
+right runs (57 % if the first exam has 5) passes the first exam with a probability of 0.06, and any
+of all its exams with a probability below 0.07.
 
-The exam does not change the criteria that it follows: for them, its runs are evidence only once a
+The exam does not change the criteria that precede it: its runs are evidence for them only after a
 further demonstration has made another version of the option.
 """
 
@@ -26,7 +26,7 @@ def exam_length(first: int, failed: int) -> int:
     Return the number of runs of an exam.
 
     :param first: number of runs of the first exam; 0: no exam.
-    :param failed: number of exams failed before.
+    :param failed: number of exams failed earlier.
     """
     runs = first
     while share_right(runs, runs, failed).low < share_right(first, first, 0).low:

@@ -21,11 +21,11 @@ from humanopts_learner.options.rollout import rollouts_from_everywhere, without_
 import numpy as np
 from numpy.typing import NDArray
 
-MEANT = 3  # demonstrations of a detour after which it is asked about; fewer may be slips
+MEANT = 3  # demonstrations of a detour before a question about it; fewer may be slips
 REFUSALS = 3  # "not here" answers required as evidence for a leaf outside I
 AS_LIKELY = 0.95  # a start succeeds at this share of the best policy's chance of a right end
-ACCIDENT = 0.25  # an end shown less often than this share of the commonest one may be an accident
-TOO_LONG = 2  # length of a path, relative to the shortest one
+ACCIDENT = 0.25  # an end shown less often, relative to the most common one, may be an accident
+TOO_LONG = 2  # maximum length of a path, relative to the shortest one
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Failures:
     """The outcome of running an option from each of the S states of an enumerable domain."""
 
     candidate: Flags  # (S,) open, reachable, and in the learned I
-    stuck: Flags  # (S,) candidates from which no end is reached that is or may be right
+    stuck: Flags  # (S,) candidates from which no right or possibly right end is reached
     unconfirmed: (
         Flags  # (S,) candidates with a planned end that nothing shows to be right or wrong
     )
@@ -41,22 +41,22 @@ class Failures:
         Flags  # (S,) candidates with a longer path than necessary, shown fewer than MEANT times
     )
     meant: Flags  # (S,) candidates with such a path, shown more often and not yet called right
-    too_long: Flags  # (S,) those of either kind with a path of more than twice the length
+    too_long: Flags  # (S,) candidates of either kind with a path longer than ``TOO_LONG`` allows
     doubt: Flags  # (S,) open, reachable, and outside I without evidence (``uncertain``)
     times_shown: NDArray[np.int64]  # (S,) demonstrations with a state of equal features
-    distance: NDArray[np.int32]  # (S,) fewest steps to such an end; -1: no known path
+    distance: NDArray[np.int32]  # (S,) fewest steps to a possibly right end; -1: no known path
     nearer: Flags  # (S, A) first actions of shortest paths
     shortfall: Floats  # (S,) return of the best shortest path - return of the run; stuck: inf
     final: Ints  # (S,) state in which the run ends or is cut off
 
     @property
     def right(self) -> Flags:
-        """Return (S,): candidates from which the run is right, as far as anyone knows."""
+        """Return (S,): candidates from which the run is right, as far as known."""
         return self.candidate & ~(self.stuck | self.unconfirmed | self.too_long)
 
     @property
     def possible(self) -> Flags:
-        """Return (S,): candidates from which it is right if the person says so."""
+        """Return (S,): candidates from which the run is right if the person confirms it."""
         return self.candidate & ~(self.stuck | (self.too_long & self.detour))
 
     @property
@@ -67,37 +67,36 @@ class Failures:
 
 @dataclass(frozen=True)
 class Chances:
-    """The chances of an option from each of the S states, if actions have several outcomes."""
+    """The success of an option from each of the S states, if actions have several outcomes."""
 
     candidate: Flags  # (S,) as in ``Failures``
-    right: Flags  # (S,) reaches an end like the shown ones about as surely and fast as can be
+    right: Flags  # (S,) reaches an end like the shown ones almost as reliably and fast as possible
     possible: Flags  # (S,) the same, if all ends of a planned policy are right
     shortfall: Floats  # (S,) expected return of the best policy - that of the option
 
 
 @dataclass(frozen=True)
 class KnownEnds:
-    """The ends of an option that were shown, and those that the person judged."""
+    """The ends of an option that were shown or judged."""
 
     domain: ActableDomain
     features: Sequence[str]  # names of the chosen features
-    demonstrations: Sequence[Demonstration]  # of one option, with the judged runs
+    demonstrations: Sequence[Demonstration]  # demonstrations and judged runs of one option
 
     def like_shown(self, rows: Rows, over: Flags, last_reward: Floats | None = None) -> Flags:
         """
         Return (N,): whether states look like an end that was shown or called right.
 
-        If all states can be listed, the chosen features and whether the task is over must be equal
-        to those of such an end. If most demonstrations ended with the task over and one did not,
-        or vice versa, its end may be a slip and counts only if repeated. Elsewhere few ends are
-        ever equal: a state must agree in what most ends share, which is whether the task is over,
-        the sign of the reward for which it is, and the values of the chosen features that are not
-        continuous. With chance, another end of these counts if it was repeated: a fruit is eaten,
-        but sometimes it is gone before.
+        If all states can be listed, a state must equal such an end in the chosen features and in
+        whether the task is over. An end that differs from most in the latter may be a slip, and
+        counts only if repeated. In other domains, few ends are equal. A state must then agree with
+        the values that most ends share: whether the task is over, the sign of the last reward if
+        it is, and the chosen features that are not continuous. With chance, a different end also
+        counts if it was repeated: usually a fruit is eaten, but sometimes it disappears first.
 
         :param rows: (N, F) all features of the states.
         :param over: (N,) whether the task is over.
-        :param last_reward: (N,) of the last step; None: not compared.
+        :param last_reward: (N,) reward of the last step; None: not compared.
         """
         chosen, taught, states = self._compared(rows, over)
         certain = without_chance(self.domain)  # with chance, a right exam run may end anywhere
@@ -126,8 +125,8 @@ class KnownEnds:
         """
         Return (N,): whether states are equal, in the chosen features, to an end called wrong.
 
-        A run that the person stopped has no end, and a run to an end that was shown is wrong
-        because of its way there.
+        A run that the person stopped has no end. A wrong run to a demonstrated end is wrong
+        because of its path.
 
         :param rows: (N, F) all features of the states.
         :param over: (N,) whether the task is over.
@@ -143,7 +142,7 @@ class KnownEnds:
     def _compared(
         self, rows: Rows, over: Flags
     ) -> tuple[Sequence[FeatureColumn], list[Demonstration], Floats]:
-        """Return the chosen features, the trajectories, and what is compared of N states."""
+        """Return the chosen features, the trajectories, and the compared values of N states."""
         chosen = feature_columns(self.domain, self.features)
         taught = [demo for demo in shown(self.demonstrations) if demo.actions]
         return chosen, taught, np.column_stack([over, stacked(chosen, rows)])
@@ -156,7 +155,7 @@ def _ends(chosen: Sequence[FeatureColumn], runs: Sequence[Demonstration]) -> Flo
 
 
 def _times(rows: Floats, among: Floats) -> NDArray[np.int64]:
-    """Return (N,): how often each row (N, C) is among others (M, C)."""
+    """Return (N,): how often each row (N, C) occurs among others (M, C)."""
     _, inverse = np.unique(np.concatenate([rows, among]), axis=0, return_inverse=True)
     group = inverse.ravel()
     times: NDArray[np.int64] = np.bincount(group[len(rows) :], minlength=group.max(initial=0) + 1)
@@ -164,7 +163,7 @@ def _times(rows: Floats, among: Floats) -> NDArray[np.int64]:
 
 
 def repeats(option: LearnedOption, domain: ActableDomain, run: Demonstration) -> bool:
-    """Return whether an option would make a run again that the person judged."""
+    """Return whether an option would repeat a run that the person judged."""
     rows = run.feature_rows
     starts = bool(option.can_start(rows[:1])[0])
     if not run.actions or not starts:
@@ -184,11 +183,11 @@ def find_failures(
     Run the option from every state of a deterministic domain.
 
     A taxi that drops its passenger at the wrong place has reached an end, but not one like the
-    demonstrated ones (``KnownEnds``). A planned policy (``goal.py``) takes the best path to
-    the end most similar to the demonstrated ones; an end of another look is not known to be right,
-    but may be, unless the person called it wrong. Its paths are never longer than necessary.
+    demonstrated ones (``KnownEnds``). A planned policy (``goal.py``) takes the best path to the
+    end most similar to the demonstrated ones. If that end looks different, it may still be right,
+    unless the person called it wrong. Planned paths are never longer than necessary.
 
-    :param demonstrations: those from which the option was learned, and the judged runs.
+    :param demonstrations: demonstrations from which the option was learned, and the judged runs.
     :raises OptionError: the option was not learned in this domain.
     """
     transitions, over, rows = domain.transitions(), domain.over(), domain.feature_table()
@@ -226,7 +225,7 @@ def find_failures(
 def _ends_of(
     option: LearnedOption, domain: EnumerableDomain, demonstrations: Sequence[Demonstration]
 ) -> tuple[Flags, Flags]:
-    """Return (S,): whether an end in each state is known to be right, and whether it may be."""
+    """Return (S,) each: whether an end in a state is known to be right, and whether it may be."""
     ends, states = (
         KnownEnds(domain, option.features, demonstrations),
         (domain.feature_table(), domain.over()),
@@ -241,13 +240,13 @@ def successes_by_chance(
     """
     Return where an option succeeds, if actions have several outcomes.
 
-    From each state, the chance that its run reaches an end like the shown ones, and the number of
-    steps if it does, are compared with those of the best policy by the domain's discount: the
-    chance must be almost as large, with at most twice the steps. Both follow from the transitions,
-    as does the return. They are not discounted: that its successes are fast does not make up for
-    failures. An end that was shown much less often than another may be an accident, and counts for
-    neither. Nor does the best policy aim at an end that was only called right, or pass through
-    ends and "not here" states.
+    From each state, the probability of an end like the demonstrated ones, and the mean number of
+    steps to it, are compared with those of the best policy under the domain's discount. The
+    probability must be almost as large, with at most twice the steps. All results follow from the
+    transitions, without this discount, so that fast successes do not make up for failures. An end
+    shown much less often than another may be an accident, and counts for neither policy.
+    The best policy does not aim at ends that were only called right, and does not pass through
+    ends or "not here" states.
     """
     table, over, tabular = domain.transitions(), domain.over(), tabulate(option, domain)
     candidate = reachable(domain) & ~over & tabular.initiation
@@ -276,12 +275,12 @@ def _expected(
     domain: EnumerableDomain, action: Ints, ends: Flags, right: Flags
 ) -> tuple[Floats, Floats, Floats]:
     """
-    Return the chance that a run reaches a right end, its mean steps if it does, and its return.
+    Return the probability of a right end, the mean number of steps to it, and the return.
 
     All are (S,), and discounted by ``MAX_GAMMA`` only, so that every run ends.
 
-    :param action: (S,) of its policy.
-    :param ends: (S,) where it ends, besides where the task is over.
+    :param action: (S,) action of the policy.
+    :param ends: (S,) whether a run ends, besides where the task is over.
     """
     from scipy.sparse import csc_array, eye  # slow to import
     from scipy.sparse.linalg import splu
@@ -318,9 +317,9 @@ def uncertain(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demons
     """
     Return (N,): whether rows (N, F) are outside I without evidence.
 
-    They were not demonstrated, and their leaves of the tree have fewer than ``REFUSALS`` distinct
-    "not here" answers, or answers that it rightly does not start: it is negative mainly because of
-    ends of the option.
+    Such rows were not demonstrated, and their leaves of the tree have fewer than ``REFUSALS``
+    distinct answers that the option cannot start. Such leaves are negative mainly because of ends
+    of the option.
     """
     seen = np.unique(_encoded(option, [demo.feature_rows for demo in demonstrations]), axis=0)
     refusals = [
@@ -346,7 +345,7 @@ def _encoded(option: LearnedOption, parts: Sequence[Rows]) -> NDArray[np.float32
 def _times_visited(
     option: LearnedOption, domain: EnumerableDomain, runs: Sequence[Demonstration]
 ) -> NDArray[np.int64]:
-    """Return (S,): how many runs visit a state with equal chosen features."""
+    """Return (S,): the number of runs that visit a state with equal chosen features."""
     chosen = feature_columns(domain, option.features)
     table = stacked(chosen, domain.feature_table())
     visited = [np.unique(stacked(chosen, run.feature_rows), axis=0) for run in runs]

@@ -41,8 +41,8 @@ def option_to_json(
     """
     Return the option as JSON, with one tree node or demonstration per line.
 
-    :param demonstrations: those from which it was learned, or none.
-    :param status: how well it is learned (``OptionSummary.status``), for readers of the file.
+    :param demonstrations: demonstrations from which it was learned, or none.
+    :param status: learning status (``OptionSummary.status``), for readers of the file.
     """
     values = {field.name: getattr(option, field.name) for field in fields(option)}
     if option.method == TREES:
@@ -78,7 +78,7 @@ class _Tree(_Values):
     columns: Count
     classes: tuple[Count, ...]
     nodes: tuple[_Node, ...]
-    roots: tuple[Count, ...] = (0,)  # of a forest
+    roots: tuple[Count, ...] = (0,)  # more than one in a forest
 
     def tree(self) -> Tree:
         """
@@ -130,9 +130,9 @@ def _option_adapter() -> TypeAdapter[LearnedOption]:
 
 def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     """
-    Read what ``option_to_json`` wrote.
+    Read the output of ``option_to_json``.
 
-    :raises OptionFileError: it is not an option, has an unknown version, or is damaged.
+    :raises OptionFileError: the text is not an option, has an unknown version, or is damaged.
     """
     try:
         data = _OptionFile.model_validate(parse_json(text))
@@ -179,7 +179,8 @@ def save_option(
 
     An existing file that is damaged or belongs to another option is renamed and kept.
 
-    :param demonstrations: as in ``option_to_json``, like ``status``.
+    :param demonstrations: as in ``option_to_json``.
+    :param status: as in ``option_to_json``.
     :return: path of the file.
     :raises OSError: writing failed; any existing file is unchanged.
     """
@@ -233,8 +234,8 @@ def load_options(directory: Path) -> tuple[list[LearnedOption], list[OptionFileE
 
     Symbolic links in the folder are not followed.
 
-    :return: the options, and the errors of unusable files, which are left unchanged. One error
-        reports if the folder itself is a symbolic link.
+    :return: the options, and the errors of unusable files, which are left unchanged. If the folder
+        itself is a symbolic link, an error says so.
     """
     options: list[LearnedOption] = []
     problems: list[OptionFileError] = []
@@ -251,7 +252,7 @@ def load_options(directory: Path) -> tuple[list[LearnedOption], list[OptionFileE
 
 
 def _pretty(data: Mapping[str, Any]) -> str:
-    """Format an object with its entries, and the entries of long lists, on separate lines."""
+    """Format an object with one line for each entry, and for each object in a list."""
     lines = []
     for key, value in data.items():
         text = json.dumps(value, allow_nan=False)

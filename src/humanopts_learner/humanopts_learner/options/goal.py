@@ -2,20 +2,21 @@
 Goal-based policies: optimal paths to an end like the demonstrated ones.
 
 The paper learns the policy from the demonstrated actions. If the transitions of a domain are
-known, the end of a demonstration says more than its path: I and beta are learned from the
-demonstrations (``learn.py``), but the policy is planned. From every state, it takes an optimal
+known, the end of a demonstration is more informative than its path. So I and beta are learned from
+the demonstrations (``learn.py``), but the policy is planned. From every state, it takes an optimal
 path (``tabular.best_paths``) to an outcome where beta holds or the task is over.
 
 With few demonstrations, beta holds in too many states, so an end must also resemble the
-demonstrated ones. First, the task must be over or continue there, as in most of them. If
-demonstrations then pass nearer ends, the goal is more specific. An option may have several kinds
-of ends, such as a pickup and a delivery, so the last step of a path must change the same nominal
-features as that of a demonstration; if this is not enough, in the same direction: a passenger
-gets in or out. If demonstrations still pass nearer ends, paths lead to the reachable end with the
-most values that the chosen features share in most demonstrated ends, unless demonstrations then
+demonstrated ones. First, it must agree with most of them in whether the task is over. If
+demonstrations pass nearer ends of this kind, the goal must be more specific. An option may have
+several kinds of ends, such as a pickup and a delivery. So the last step of a path must change the
+same nominal features as that of a demonstration and, if this is not enough, in the same direction:
+a passenger gets in or out. If demonstrations still pass nearer ends, paths lead to the reachable
+end that shares the most feature values with most demonstrated ends, unless demonstrations then
 pass more ends.
 
-A path from a state that looks like an end leads to another end, unless a demonstration led back.
+Without chance, a path from a state that looks like an end leads to another end, unless the start
+and the end of a demonstration look the same.
 """
 
 from collections.abc import Sequence
@@ -28,7 +29,7 @@ from humanopts_env.domains.tabular import best_paths, TIE
 from humanopts_learner.demonstrations import Demonstration
 import numpy as np
 
-MOST = 0.8  # share of the demonstrations, to tolerate a slip in one of several
+MOST = 0.8  # share of the demonstrations that counts as most; others may be slips
 MAX_GAMMA = 0.999  # below 1, so that a longer path is worth less
 
 
@@ -63,7 +64,7 @@ def paths_to_goal(
     )
     at_end = np.flatnonzero(termination & ~domain.over())
     if not table.deterministic or (columns[starts] == columns[ends]).all(axis=1).any():
-        at_end = at_end[:0]  # a run may lead back
+        at_end = at_end[:0]  # a run may return to its start
 
     def paths(ends: Flags) -> Paths:
         """Return the paths to a subset of the outcomes (S, A, B) at which the option ends."""
@@ -109,7 +110,7 @@ def paths_to_goal(
     weights = 3.0 ** np.arange(sum(nominal))
     turns = np.sign(kinds[table.successor] - kinds[:, None, None])
     shown = np.sign(kinds[ends] - kinds[last])
-    for change in (np.abs, np.positive):  # any change of the same features; in one direction
+    for change in (np.abs, np.positive):  # any change of the same features; the same direction
         same = np.isin(change(turns) @ weights, change(shown) @ weights)
         if passed(similar := paths_to_best(2 * over_as_most + same)) <= 1 - MOST:
             return similar
@@ -141,7 +142,7 @@ def preferred_actions(
 
 
 def _as_most(values: Ints, shown: Ints) -> Flags:
-    """Return (S,): which values match those of most demonstrated ends; none if these differ."""
+    """Return (S,): whether values equal the one that most demonstrated ends share, if any."""
     found, counts = np.unique(shown, return_counts=True)
     same: Flags = (values == found[counts.argmax()]) & (counts.max() >= MOST * len(shown))
     return same

@@ -1,37 +1,36 @@
 """
-Stopping criteria for teaching an option: how it does from starts that were never demonstrated.
+Stopping criteria for teaching an option, measured from starts that were not demonstrated.
 
 The paper (section 6) compares the return of the learned policy with that of the demonstrations,
-and uses the cross-validation error of I and beta. Here each world gives the strongest evidence
-that it can.
+and uses the cross-validation error of I and beta. Here, the strongest evidence that a domain
+allows is used.
 
 *Success* is the share of starts from which the option reaches an end like a demonstrated one
-(``KnownEnds``). If all states can be listed, it is exact: the option runs from all starts, or its
-chances are computed where actions have several outcomes. If the world can only be simulated or
-replayed, fresh starts are drawn the way the task draws them, and the lower limit of the share
-decides (Wilson 1927). If it is exact, fewer starts may fail than the threshold allows, since
-others are right by mistake; with chance, more may (``_required``). A world that can only be acted
-in gives *agreement* instead: the share of held-out demonstrations that the option would repeat. If
-runs are only sampled, with chance, both are required: ends that chance leads to do not show that
-most demonstrated steps were wrong.
-Without chance, *imitation* is required, too: from the start of a demonstration, the option must
-reach the end of that demonstration, and not only an end of some demonstration.
+(``KnownEnds``). If all states can be listed, it is exact: the option runs from all starts or, if
+actions have several outcomes, its success probabilities are computed. If the domain can only be
+simulated or replayed, fresh starts are drawn as the task draws them, and the lower limit of the
+share decides (Wilson 1927). The required share (``_required``) is higher if success is exact,
+because some starts succeed by mistake, and lower with chance. A domain that can only be acted in
+gives *agreement* instead: the share of held-out demonstrations that the option would repeat. If
+runs with chance can only be sampled, both are required, because an end reached by chance does not
+reveal wrong steps. Without chance, *imitation* is also required: from the start of a
+demonstration, the option must reach the end of that demonstration, not just any end.
 
-Folds are grouped by demonstration, because rows of one trajectory on both sides would hide errors.
-The *return* is held out as well: each option runs from the starts of the demonstrations that it
-was not trained on. Its shortfall is a share of the range between the demonstrated return and that
-of random actions, which run from the same starts, with the same ends and the same maximum number
-of steps. If random actions return as much, there is no range, and no return to measure. Start
-states chosen because the option fails there bias the held-out return downwards. If all states can
-be listed, the criterion is also met if the option falls short of the best policy by more than the
-threshold from no start. With chance, the part of the shortfall that it does not explain counts if
-there is an exam, which judges outcomes; else the upper limit of the shortfall.
+Folds are grouped by demonstration, because rows of one trajectory in both training and test data
+would hide errors. The *return* is also held out: each option runs from the starts of
+demonstrations that it was not trained on. The shortfall is a share of the range between the
+demonstrated return and that of random actions with the same starts, ends and maximum number of
+steps. If random actions return as much, the return is not measurable. Start states chosen because
+the option fails there bias the held-out return downwards. So if all states can be listed, the
+criterion is also met if the shortfall from the best policy is within the threshold at every start.
+With chance, the lower limit of the shortfall counts if there is an exam, which judges outcomes;
+otherwise, its upper limit counts.
 
-*Termination* counts demonstrations, because an error balanced over rows hides that one run of five
-ends in the wrong place. A criterion that cannot fail is not measurable.
+*Termination* counts demonstrations, because an error balanced over rows would hide that one run
+in five ends in the wrong place. A criterion that cannot fail is not measurable.
 
-Limits hold for all looks in a lesson (``level_of_look``): an option that is tried after every
-demonstration is not called good by luck.
+Limits hold jointly for all evaluations in a lesson (``level_of_look``), so evaluating after every
+demonstration does not make an option pass by luck.
 """
 
 from collections.abc import Callable, Sequence
@@ -99,27 +98,27 @@ from humanopts_learner.summary import (
 import numpy as np
 from numpy.typing import NDArray
 
-MIN_HELD_OUT = 3  # trajectories, for held-out criteria
+MIN_HELD_OUT = 3  # minimum number of trajectories for held-out criteria
 CUT_OFF = 2  # maximum length of a held-out run, relative to its demonstration
 LONGEST = 4  # maximum length of a run from a fresh start, relative to the longest demonstration
-FEWEST = 20  # runs from fresh starts, even if the threshold needs fewer
-SPARE = 1.5  # runs from fresh starts, relative to the fewest that could meet the threshold
-AMPLE = 4  # the same, where many games are played side by side
-MAX_RUNS = 2000  # from fresh starts
+FEWEST = 20  # minimum number of runs from fresh starts, even if the threshold needs fewer
+SPARE = 1.5  # their maximum number, relative to the fewest that can meet the threshold
+AMPLE = 4  # the same, where many games run in parallel
+MAX_RUNS = 2000  # their absolute maximum
 REPEATED = 0.5  # smallest share of recorded demonstrations that the option would repeat
-OTHER_END = 0.2  # largest share of demonstrations with another end; one of five may be a slip
-RANDOM_RUNS = 200  # at least over all starts, unless fewer are precise
-RANDOM_RUNS_EACH = 10  # per start in each group; at least one group
-PRECISE = 0.1  # standard error of the range, relative to it
-MAX_GROUPS = 256  # of random runs, kept for the next look
-RANGE_LEVEL = 0.9  # two-sided: the range is below the lower limit in 5 of 100 cases
-ONE_SIDED = 1.645  # standard errors below the range with 5 % confidence
+OTHER_END = 0.2  # largest share of demonstrations with another end; one in five may be a slip
+RANDOM_RUNS = 200  # minimum number of random runs, unless fewer are precise
+RANDOM_RUNS_EACH = 10  # random runs per start in each group; at least one group
+PRECISE = 0.1  # largest standard error of a precise range, relative to it
+MAX_GROUPS = 256  # number of cached groups of random runs
+RANGE_LEVEL = 0.9  # two-sided level: the range is below its lower limit in 5 % of cases
+ONE_SIDED = 1.645  # standard errors from the mean to a one-sided 95 % limit
 ROUNDING = 1e-9  # reward units
 
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """The values that meet the criteria."""
+    """The thresholds of the criteria."""
 
     success: float = 0.95  # smallest share of starts, 0..1
     return_share: float = 0.1  # largest shortfall of the return, as a share of its range
@@ -131,7 +130,8 @@ class Thresholds:
         """
         Check the values.
 
-        :raises ValueError: the share of the return is not finite, or another value not in 0..1.
+        :raises ValueError: ``return_share`` is not finite, another share is not in 0..1, or
+            ``exam`` is negative.
         """
         if self.exam < 0:
             raise ValueError(f'an exam has 0 or more runs, not {self.exam}')
@@ -146,11 +146,11 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class _Look:
-    """What the criteria are measured from after one demonstration."""
+    """The inputs of one evaluation of the criteria."""
 
     data: Dataset
     option: LearnedOption  # learned from all of the data
-    judged: Sequence[Demonstration]  # the data and the runs that the person judged
+    judged: Sequence[Demonstration]  # the demonstrations, and the runs that the person judged
     others: Sequence[Option]
     seed: int
 
@@ -165,18 +165,18 @@ class HeldOut:
     """The demonstrations, each with an option learned without it."""
 
     data: Dataset
-    folds: Ints  # (D,) of all demonstrations
+    folds: Ints  # (D,) fold of each demonstration
     of_fold: Sequence[LearnedOption]
 
     @property
     def options(self) -> list[LearnedOption]:
-        """The option of each trajectory."""
+        """For each trajectory, an option learned without it."""
         fold = self.folds[[demo.kind is Kind.TRAJECTORY for demo in self.data.demonstrations]]
         return [self.of_fold[f] for f in fold.tolist()]
 
     @classmethod
     def of(cls, data: Dataset, domain: ActableDomain, seed: int) -> 'HeldOut':
-        """Relearn an option without each fold."""
+        """Relearn the option without each fold."""
         folds = fold_of(data, seed)
         return cls(data, folds, fit_leave_fold_out(data, folds, domain, seed))
 
@@ -278,13 +278,13 @@ def taught_before(
     name: str, demonstrations: Sequence[Demonstration], domain: ActableDomain, seed: int
 ) -> list[LearnedOption]:
     """
-    Return the options of a participant that lead to the starts of an option: those before it.
+    Return the options taught before an option, which lead to its starts.
 
-    They are learned from what was shown before its first demonstration, so the criteria do not
-    depend on what is shown of them later.
+    They are learned only from demonstrations before the first one of the option, so that later
+    ones do not affect its criteria.
 
-    :param demonstrations: all those of the participant, in order.
-    :return: none unless the domain is replayed.
+    :param demonstrations: all demonstrations of the participant, in order.
+    :return: the options; empty unless the domain is replayed.
     """
     if not isinstance(domain, ReplayedDomain):
         return []
@@ -305,12 +305,12 @@ def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
     """
     Estimate the number of further demonstrations needed to meet all criteria.
 
-    Errors come from situations in only one demonstration, whose share decreases roughly as 1 / n:
-    a value of twice its threshold needs about n more. The distance from the value to its limit
-    decreases as 1 / sqrt(n).
+    Errors come from situations in only one demonstration. Their share decreases roughly as 1 / n,
+    so a value of twice its threshold needs about n more. The distance from a value to its
+    confidence limit decreases as 1 / sqrt(n).
 
-    :return: 0: none; -1: unknown, because a criterion is not measurable or its threshold is not
-        above the limit of the value, or because its value is exact.
+    :return: 0: none; -1: unknown, because a criterion is not measurable, its value is exact, or
+        further demonstrations cannot reach its threshold.
     """
     times = 1.0
     for criterion in criteria:
@@ -355,10 +355,10 @@ def _success(
     decides: bool,
 ) -> tuple[Criterion, str]:
     """
-    Return the criterion of success, and its evidence.
+    Return the success criterion and its evidence.
 
-    :param known: outcomes from all states; None: they cannot be listed.
-    :param decides: whether all other criteria are met.
+    :param known: outcomes from all states; None: states cannot be listed.
+    :param decides: whether all other measurable criteria are met.
     """
     threshold = _required(threshold, exact=known is not None, chance=not without_chance(domain))
     if known is None:
@@ -376,18 +376,18 @@ def _success(
 def _required(share: float, *, exact: bool, chance: bool) -> float:
     """Return the share of starts from which an option must succeed."""
     room = 1.0
-    room -= 0.5 * exact  # some starts are right by mistake
-    room += 0.5 * chance  # bad luck also makes a right option fail
+    room -= 0.5 * exact  # some starts succeed by mistake
+    room += 0.5 * chance  # bad luck makes even a right option fail
     return max(1 - room * (1 - share), 0.0)
 
 
 def _from_fresh_starts(look: _Look, domain: Domain, threshold: float, decides: bool) -> Flags:
     """
-    Return (N,): whether the option reaches an end like a demonstrated one from fresh starts.
+    Return (N,): whether the option reaches an end like a demonstrated one from each fresh start.
 
-    The fewest runs that meet the threshold suffice if all of them are right. Otherwise there are
-    some to spare, unless the limit cannot reach the threshold any more. A few runs show how it
-    does as long as they do not decide, because another criterion is not met.
+    If all runs are right, the smallest number that meets the threshold suffices. Otherwise, there
+    are more runs until the limit can no longer reach the threshold. While another criterion is not
+    met, a few runs give an estimate.
     """
     option, data, level = look.option, look.data, look.level
     needed = MAX_RUNS if threshold == 1 else runs_needed(threshold, level)
@@ -424,9 +424,9 @@ def _from_fresh_starts(look: _Look, domain: Domain, threshold: float, decides: b
 
 def _imitation(look: _Look, domain: Domain, in_sample: Rollouts) -> Criterion:
     """
-    Return the criterion of imitation, in a domain without chance.
+    Return the imitation criterion, in a domain without chance.
 
-    If the option would repeat a run that the person called wrong, its value is 1.
+    The value is 1 if the option would repeat a run that the person called wrong.
     """
     demos, data = look.data.trajectories, look.data
     same = in_sample.reached & (in_sample.over == [demo.terminated for demo in demos])
@@ -450,11 +450,11 @@ def _return(
     known: Failures | Chances | None,
 ) -> Criterion:
     """
-    Return the criterion of the return.
+    Return the criterion ``return``.
 
-    Rewards that have little to do with the option, such as food on the way to something else, may
-    differ by more than any number of demonstrations can average out. So, if there is an exam, only
-    the part of the shortfall counts that chance does not explain: its lower limit.
+    Rewards that have little to do with the option, such as food along the way, may vary too much
+    to average out over the demonstrations. So, if there is an exam, only the part of the shortfall
+    that chance does not explain counts: its lower limit.
     """
     data, count = look.data, len(look.data.trajectories)
     threshold = thresholds.return_share
@@ -479,11 +479,11 @@ def _agreement(
     look: _Look, domain: ActableDomain, held_out: HeldOut | None, exam: int
 ) -> Criterion:
     """
-    Return the criterion of agreement, in a domain that can only be acted in or sampled.
+    Return the agreement criterion, in a domain that can only be acted in or sampled.
 
-    An option would repeat a demonstration if it can start there, ends with it, and takes most of
-    its actions: runs with several wrong actions may still reach their end. For the same reason,
-    its limit decides only without an exam, which judges outcomes, with limits of its own.
+    An option would repeat a demonstration if it can start there, takes most of its actions, and
+    ends with it. Wrong actions are allowed, because the run may still reach its end. For the same
+    reason, the limit counts only without an exam, which judges outcomes with its own limits.
     """
     if held_out is None:
         return Criterion.of(AGREEMENT, None, REPEATED, count=len(look.data.trajectories))
@@ -513,8 +513,8 @@ def held_out_ends(held_out: HeldOut, domain: ActableDomain, seed: int) -> tuple[
     """
     Return the numbers of demonstrations in which the option ends early, late and never.
 
-    An option that does not end with the demonstration goes on, for as many steps as it took, where
-    the domain can be simulated. Elsewhere it counts as never ending.
+    An option that has not ended by the end of the demonstration runs for as many steps again if
+    the domain can be simulated. Otherwise, it counts as never ending.
     """
     early, missed = 0, []
     for option, demo in zip(held_out.options, held_out.data.trajectories):
@@ -539,16 +539,15 @@ def held_out_ends(held_out: HeldOut, domain: ActableDomain, seed: int) -> tuple[
 
 def held_out_shortfall(held_out: HeldOut, domain: Domain, seed: int, level: float) -> Interval:
     """
-    Return the mean of demonstrated return - return of the policy trained without it.
+    Return the mean shortfall of policies against demonstrations that they were not trained on.
 
-    A run has reached a different end if it ends with the task over and the demonstration did not,
-    or vice versa: each of its remaining steps then costs as much as the worst demonstrated step.
+    Ends differ if the task is over at the end of either the run or its demonstration, but not
+    both. Each remaining step of the run then costs as much as the worst demonstrated step.
 
-    As long as a run takes the demonstrated actions, it gets the same random outcomes (common
-    random numbers), so chance makes no difference between equal steps; it diverges where the
-    option first acts or ends differently. The limits are those of the mean over demonstrations by
-    Student's t. Without chance, the limits are the mean itself, and exceeding one demonstration
-    does not compensate for falling short of another.
+    While a run takes the demonstrated actions, it gets the demonstrated outcomes (common random
+    numbers); it diverges where the option first acts or ends differently. The limits are those of
+    Student's t for the mean over demonstrations. Without chance, both limits equal the mean, and a
+    surplus over one demonstration does not compensate for a shortfall from another.
     """
     options, demos = held_out.options, held_out.data.trajectories
     limit = held_out_limits(held_out.data, options[0])
@@ -586,10 +585,10 @@ def _cost_of_other_end(
     demos: Sequence[Demonstration], reached: Flags, over: Flags, left: NDArray[np.int64]
 ) -> Floats:
     """
-    Return the amounts added to the returns of runs whose end differs from the demonstration's.
+    Return the amounts to add to the returns of runs that end unlike their demonstration.
 
-    :param demos: (N,) demonstration with the start state of each run.
-    :param left: (N,) remaining steps of each run.
+    :param demos: (N,) demonstration of each run.
+    :param left: (N,) number of remaining steps of each run.
     """
     other_end = reached & (over != np.array([demo.terminated for demo in demos]))
     worst: Floats = np.array([min(0.0, *demo.rewards) for demo in demos])
@@ -599,16 +598,16 @@ def _cost_of_other_end(
 
 def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int) -> float | None:
     """
-    Return the mean of demonstrated return - return of random actions from the same start.
+    Return the mean of the demonstrated return minus that of random actions from the same start.
 
-    Random actions run like a held-out option: to an end of the option, the end of the task, or
-    twice the steps of the demonstration. The range is thus the shortfall of a worthless policy. It
-    neither grows with the option's step limit, nor vanishes if random actions eventually reach the
-    same end. There are runs until their standard error is small, and they serve all options
-    learned from a demonstration, as only their ends depend on the option.
+    Random actions run like a held-out option: until the option or the task ends, or for twice the
+    number of demonstrated steps. The range is thus the shortfall of a worthless policy. It neither
+    grows with the option's step limit, nor vanishes if random actions eventually reach the same
+    end. Runs are added until the standard error is small. All options learned from a demonstration
+    share them, because only the ends of the runs depend on the option.
 
     :param option: option that determines where the runs end.
-    :return: None: random actions return as much, as far as these runs show.
+    :return: the range; None: the runs do not show that random actions return less.
     """
     demos, game = data.trajectories, KeyedDomain.of(domain)
     demonstrated = np.array([demo.total_reward for demo in demos])
@@ -637,18 +636,18 @@ def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int
 
 @dataclass(frozen=True)
 class _RandomRuns:
-    """R runs of random actions of at most T steps; nothing happens after the end of the task."""
+    """R runs of random actions, of at most T steps each; rewards after the task's end are 0."""
 
     reward: Floats  # (R, T)
     rows: Rows  # (R, T, F) features after each step
-    over: Flags  # (R, T) whether the task is over then
+    over: Flags  # (R, T) whether the task is over after each step
 
 
 @lru_cache(maxsize=MAX_GROUPS)
 def _random_runs(
     game: KeyedDomain, start: str, limit: int, number: int, seed: int, uuid: str
 ) -> _RandomRuns:
-    """Return ``RANDOM_RUNS_EACH`` runs from a state, the next ones after a number of others."""
+    """Return ``RANDOM_RUNS_EACH`` runs from a state, following ``number`` earlier ones."""
     domain, rng = game.value, generator(seed, 'random actions', uuid, number)
     games = games_at(domain, [domain.decode(start)] * RANDOM_RUNS_EACH)
     shape, playing = (RANDOM_RUNS_EACH, limit), np.arange(RANDOM_RUNS_EACH)
@@ -667,7 +666,7 @@ def _follow(
     options: Sequence[LearnedOption], demos: Sequence[Demonstration], domain: Domain
 ) -> tuple[NDArray[np.int64], Flags]:
     """
-    Follow demonstrations for as long as options would have acted the same.
+    Follow demonstrations as long as the options would act as demonstrated.
 
     :param options: (N,) one per demonstration.
     :return: steps (N,) until the option acts or ends differently, or the demonstration ends; and
@@ -689,7 +688,7 @@ def balanced_error(
     """
     Return the mean of the errors among members and among non-members; None: only one class.
 
-    :param predict: for each fold, the prediction for rows (N, F) learned without it.
+    :param predict: for each fold, a predictor of rows (N, F) that was learned without the fold.
     """
     predicted = np.empty(len(examples.labels), dtype=np.bool_)
     fold_of_row = folds[examples.source]

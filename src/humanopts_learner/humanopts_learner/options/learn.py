@@ -6,8 +6,8 @@ states unless the person says that the option could start again there. Examples 
 positive in end states and in "not here" states, because an option may continue only where it could
 start (Sutton, Precup and Singh 1999, section 2), and negative in the other states of a trajectory.
 
-In a replayed domain, whose states are many, an option that always ended with the task over needs
-no other end: its last states are no examples, so nothing that happens to look like one is an end.
+A replayed domain has many states. If an option always ended with the task over there, it needs no
+other end. Its last states are then not examples, so that similar states do not count as ends.
 """
 
 from collections import Counter
@@ -48,9 +48,9 @@ from numpy.typing import NDArray
 
 MAX_STEPS = 200  # per option run, if the domain has no step limit
 FOLDS = 10
-N_TREES = 30  # of a forest
-LEAF_SIZE = 5  # on a robot: what it senses separates any two rows, and so every slip, too
-SLIP_GAIN = 2.0  # there, a split of pi must explain more: one deviating example adds at most 2
+N_TREES = 30  # trees in a forest
+LEAF_SIZE = 5  # minimum on a robot, where sensor values separate any two rows, and thus slips
+SLIP_GAIN = 2.0  # minimum gain of a split of pi on a robot; a single deviation adds at most 2
 
 
 class NotLearnableError(ValueError):
@@ -78,12 +78,12 @@ class Dataset:
     """The demonstrations and examples of one option of one participant."""
 
     demonstrations: tuple[Demonstration, ...]  # (D,) distinct, sorted by number
-    actions: tuple[str, ...]  # of the domain
+    actions: tuple[str, ...]  # all of the domain
     chosen: tuple[FeatureColumn, ...]  # features chosen with the newest demonstration
-    encoding: tuple[EncodedFeature, ...]  # of these features
+    encoding: tuple[EncodedFeature, ...]  # encoding of these features
     method: str = TREES  # chosen with the newest demonstration
     min_leaf: int = 1  # smallest number of examples in a leaf of pi and beta
-    ends_with_task: bool = False  # only there: states in which the task is over are no examples
+    ends_with_task: bool = False  # only then: states in which the task is over are not examples
 
     @property
     def features(self) -> tuple[str, ...]:
@@ -99,7 +99,7 @@ class Dataset:
         """
         Return the data set of selected demonstrations (D,), with unchanged features.
 
-        Labels that depend on other demonstrations depend only on selected ones.
+        Labels that depend on several demonstrations then depend only on the selected ones.
         """
         return replace(self, demonstrations=tuple(compress(self.demonstrations, chosen)))
 
@@ -118,7 +118,7 @@ class Dataset:
         Visited states, labelled as members of I or not.
 
         If the option can start again at its end, ends where the task is over are not examples,
-        because the question is not asked there.
+        because the person is not asked there.
         """
         again, labelled = any(demo.can_start_at_end for demo in self.demonstrations), []
         for demo in self.demonstrations:
@@ -134,9 +134,9 @@ class Dataset:
         Visited states, labelled as ends or not.
 
         Termination is checked only after a step, so a start is not an example against an end with
-        equal chosen features. Nor is it if the option can start where it ends, and a nominal
-        feature of it has a value that only ends have. The last state counts as often as a leaf
-        needs examples, as if the person had stayed there: one end then makes a leaf.
+        equal chosen features. If the option can start where it ends, a start with a nominal value
+        that otherwise only ends have is not an example, either. The last state is repeated to fill
+        a leaf, as if the person had stayed there, so that a single end makes a leaf.
         """
         labelled = []
 
@@ -156,7 +156,7 @@ class Dataset:
             first = int(may_be_end and len(labels) > 1)
             asked = len(labels) - (self.ends_with_task and demo.terminated)
             at = np.arange(len(labels))[first:asked]
-            at = np.append(at, at[-1:].repeat(self.min_leaf - 1))  # as if it stayed there
+            at = np.append(at, at[-1:].repeat(self.min_leaf - 1))
             labelled.append((demo.feature_rows[at], np.array(labels)[at].tolist()))
         return Examples.of(labelled)
 
@@ -165,9 +165,9 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain)
     """
     Collect the examples of one option.
 
-    :param demonstrations: checked, of one participant and option; order and duplicates do not
-        matter, and nothing is learned from judged runs.
-    :raises NotLearnableError: there is no trajectory, or they belong to several options.
+    :param demonstrations: checked demonstrations of one participant and option; their order and
+        duplicates do not matter, and judged runs are ignored.
+    :raises NotLearnableError: there is no trajectory, or there are several options or people.
     :raises DomainError: a chosen feature or an action is not in the domain.
     """
     groups = group_by_option(shown(demonstrations))
@@ -205,7 +205,7 @@ def learn_option(
     Learn an option; the order of the demonstrations does not matter.
 
     :param demonstrations: checked demonstrations of one participant and option.
-    :raises NotLearnableError: there is no trajectory, or they belong to several options.
+    :raises NotLearnableError: as ``make_dataset``.
     """
     return fit_option(make_dataset(demonstrations, domain), domain, seed)
 
@@ -214,7 +214,7 @@ def fit_option(data: Dataset, domain: ActableDomain, seed: int) -> LearnedOption
     """
     Learn an option from a data set with one or more trajectories.
 
-    All three trees, or forests, are fitted to its examples; with the method ``goal``, the policy
+    All three trees, or forests, are fitted to the examples; with the method ``goal``, the policy
     tree is fitted to planned actions.
     """
     first, trajectories = data.demonstrations[0], len(data.trajectories)
@@ -240,7 +240,7 @@ def fit_option(data: Dataset, domain: ActableDomain, seed: int) -> LearnedOption
 
 
 def _most_visits(data: Dataset, domain: ActableDomain) -> int:
-    """Return how often the features look the same in any one demonstration."""
+    """Return the maximum number of rows that look the same in one demonstration."""
     return max(
         max(Counter(looks_of(demo.feature_rows, domain)).values()) for demo in data.trajectories
     )
@@ -252,7 +252,7 @@ def _with_planned_policy(
     """
     Return the option with a policy planned to reach an end like the demonstrated ones.
 
-    Its tree uses all features: it is not learned, but stores the planned actions.
+    The policy tree uses all features, because it is not learned, but stores the planned actions.
     """
     assert is_enumerable(domain)  # ``check_method``
     rows, chosen = domain.feature_table(), data.chosen
@@ -303,5 +303,5 @@ def fold_of(data: Dataset, seed: int) -> Ints:
 def fit_leave_fold_out(
     data: Dataset, folds: Ints, domain: ActableDomain, seed: int
 ) -> list[LearnedOption]:
-    """Return the options learned without fold 0, 1, ...; needs two or more trajectories."""
+    """Return the options learned without fold 0, 1, ...; requires two or more trajectories."""
     return [fit_option(data.of(folds != fold), domain, seed) for fold in range(folds.max() + 1)]

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
-HALF = 0.5  # minimum probability to belong to I, and for the option to end
+HALF = 0.5  # minimum probability of membership in I, and of termination
 MEMBER = 1  # class of I and beta
 MEMBERSHIP = (0, MEMBER)
 REFERENCE = 'reference'  # participant of options made from reference options
@@ -53,7 +53,7 @@ class LearnedOption:
     domain_parameters: Text  # JSON object, keys sorted
     actions: tuple[Text, ...]  # indexed by the classes of the policy
     features: tuple[Text, ...]  # chosen, in the domain's order
-    encoding: tuple[EncodedFeature, ...]  # of these features, for the trees
+    encoding: tuple[EncodedFeature, ...]  # inputs of the trees
     policy: Tree
     initiation: Tree
     termination: Tree
@@ -63,7 +63,7 @@ class LearnedOption:
     uuids: tuple[Text, ...]  # training demonstrations and "not here" answers
     method: Text = TREES  # learning method, one of METHODS
     policy_encoding: tuple[EncodedFeature, ...] = ()  # for the policy; empty: as for I and beta
-    most_visits: Count = 0  # to rows that look the same in a demonstration; 0: see ``Loops``
+    most_visits: Count = 0  # largest number of equal-looking rows in a demonstration; 0: unchecked
 
     def __post_init__(self) -> None:
         """Check that the trees fit the actions and the features."""
@@ -87,7 +87,7 @@ class LearnedOption:
         """
         Check that the option was learned in this domain.
 
-        :raises OptionError: another domain or other parameters, features or actions.
+        :raises OptionError: the domain, or its parameters, features or actions differ.
         """
         if (self.domain, self.domain_parameters) != (domain.name, parameters_json(domain)):
             raise OptionError(
@@ -152,13 +152,13 @@ def loops_of(
     n_actions: int = 0,
 ) -> Loops | None:
     """
-    Return what happens to runs of options that repeat themselves.
+    Return a detector of runs that repeat themselves.
 
     :param options: options by index.
     :param count: number of games.
     :param rng: as in ``Loops``.
     :param n_actions: number of primitive actions, which follow the options.
-    :return: None: no option was taught in a domain in which runs are checked.
+    :return: the detector; None: no option was taught in a domain where runs are checked.
     """
     most = [each.most_visits if isinstance(each, LearnedOption) else 0 for each in options]
     return Loops(domain, np.array(most + [0] * n_actions), count, rng) if any(most) else None
@@ -187,7 +187,7 @@ def tabulate(option: Option | TabularOption, domain: EnumerableDomain) -> Tabula
     """
     Evaluate an option in every state of its domain; a tabular option is returned unchanged.
 
-    :raises OptionError: it is a learned option of another domain, or as of ``decisions``.
+    :raises OptionError: the option was learned in another domain, or as ``decisions``.
     """
     if isinstance(option, TabularOption):
         return option
@@ -201,7 +201,7 @@ def decisions(option: Option, rows: Rows, domain: ActableDomain) -> tuple[Flags,
     """
     Return (N,) each: whether an option can start, its action, and whether it ends.
 
-    :raises OptionError: it returns anything else.
+    :raises OptionError: the option returns invalid arrays.
     """
     given = option.can_start(rows), option.action(rows), option.ends(rows)
     found: list[NDArray[Any]] = [np.asarray(each) for each in given]
@@ -223,8 +223,8 @@ class OptionTable:
     """
     O options over the S states of a domain.
 
-    :ivar options: (O,).
-    :ivar names: (O,).
+    :ivar options: (O,) options.
+    :ivar names: (O,) names.
     :ivar action: (O, S) primitive action.
     :ivar ends: (O, S) whether the option ends in the state, after one or more steps.
     :ivar available: (S, O) whether the option can be chosen.
@@ -282,10 +282,11 @@ def options_from_references(
     """
     Return reference options as learned options, without a teacher.
 
-    If several actions are optimal, the first is used. Learning from people never uses these.
+    If several actions are optimal, the first is used. Learning from people never uses these
+    options.
 
     :param references: reference options of this domain, as in ``registry.reference_options``.
-    :raises DomainError: one has no arrays, or its features do not determine their values.
+    :raises DomainError: a reference option has no arrays, or its features do not determine them.
     """
     found = []
     for reference in references:

@@ -1,17 +1,16 @@
 """
-What the demonstrations of an option leave open, in a world whose states cannot be chosen.
+Gaps in the demonstrations of an option, in a world where states cannot be chosen.
 
-A person drives such a world to the next start, and needs to know which start would help. The
-reason is found in rows of features that were seen: those of demonstrations, and those that were
-driven past in between. In this order, it is
+The person drives to the next start, and needs to know which start would help. A suggestion is
+found in the feature rows that were seen, in demonstrations and between them. It is the first of
 
-1. a value of a nominal feature, seen where the option does not end, with which nothing starts;
+1. a value of a nominal feature that was seen where the option does not end, but at no start;
 2. the range of a feature in which a tenth of the demonstrations decides what the option does
-   (``committee_disagrees``), if one range holds most such rows and few others;
+   (``committee_disagrees``), if one range contains most such rows and few others;
 3. the largest gap between starts in the range of a feature, if rows were seen in it;
-4. the same as 1 and 3 without such rows, while there are few starts.
+4. the same as 1 and 3 for unseen values and gaps, as long as there are few starts.
 
-Only the chosen features count. *Not here* answers are starts, too: they say what to do there.
+Only the chosen features count. *Not here* answers count as starts, too.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,10 +25,10 @@ from humanopts_learner.options.starts import committee_disagrees
 import numpy as np
 
 GAP = 0.25  # smallest gap between starts that counts, as a share of the range of the feature
-FEW = 5  # starts, up to which states that were never seen are asked for
+FEW = 5  # maximum number of starts for suggesting states that were never seen
 SHARE = 0.05  # smallest share of rows in which the committee disagrees
-APART = 0.3  # smallest difference between the shares of such rows, and of others, in a range
-PARTS = 10  # of the range of a feature, at which ranges begin or end
+APART = 0.3  # smallest difference between the shares of these rows and of others in a range
+PARTS = 10  # parts of a continuous feature's range; they bound the suggested ranges
 
 
 def missing_start(
@@ -40,12 +39,12 @@ def missing_start(
     seed: int,
 ) -> str:
     """
-    Return in words what no demonstration has shown yet; empty: nothing was found.
+    Describe a start that no demonstration has shown yet; empty: none was found.
 
-    :param option: learned from the demonstrations.
-    :param demonstrations: checked, of this option, with at least one trajectory.
-    :param passed: (N, F) features of states in between, without those of demonstrations.
-    :param seed: of the folds.
+    :param option: option learned from the demonstrations.
+    :param demonstrations: checked demonstrations of this option, with at least one trajectory.
+    :param passed: (N, F) features of states seen between demonstrations.
+    :param seed: random seed of the folds.
     """
     data = make_dataset(demonstrations, domain)
     starts = np.concatenate([demo.feature_rows[:1] for demo in data.demonstrations])
@@ -84,7 +83,7 @@ def missing_start(
 def _gaps(
     columns: Sequence[tuple[Feature, Floats, Floats]],
 ) -> Iterator[tuple[float, str, bool]]:
-    """Yield gaps between starts: share of the range, words, and whether rows were seen there."""
+    """Yield gaps between starts: share of the range, text, and whether rows were seen there."""
     for feature, starts, seen in columns:
         if feature.kind is FeatureKind.NOMINAL:
             continue
@@ -102,7 +101,7 @@ def _gaps(
 
 
 def _where(columns: Sequence[tuple[Feature, Floats, Floats]], disagreed: Flags) -> Iterator[str]:
-    """Yield in which range of a feature the committee disagrees, if one stands out."""
+    """Yield the range of a feature in which the committee disagrees, if one stands out."""
     if not SHARE <= disagreed.mean() < 1:
         return
     best, text = APART, ''

@@ -50,7 +50,7 @@ class Rollouts:
     """The outcomes of running an option from each of N start states."""
 
     total_reward: Floats  # (N,) undiscounted
-    last_reward: Floats  # (N,) of the last step
+    last_reward: Floats  # (N,) reward of the last step
     steps: Ints  # (N,)
     reached: Flags  # (N,) beta holds or the task is over; else cut off
     over: Flags  # (N,) the task is over
@@ -120,7 +120,7 @@ def run_once(
     :param which: (N,) index of the option of each run.
     :param limits: (N,) maximum number of steps per run, 1 or more.
     :param loops: as in ``play``.
-    :param on_step: as in ``play``; not called where tables say how options run.
+    :param on_step: as in ``play``; not called if the options are tabulated.
     :raises DomainError: the task is over in a start state.
     """
     games = games_at(domain, starts)
@@ -150,8 +150,8 @@ def rollouts_from_everywhere(domain: EnumerableDomain, option: TabularOption) ->
     Run an option from each of the S states of a deterministic domain.
 
     The length of all runs is doubled repeatedly, so cyclic runs cost no more than others. Results
-    are meaningless if the task is over at the start. The return and steps of a run that never ends
-    are not those at its step limit.
+    are meaningless if the task is over at the start. For a run that never ends, the return and the
+    number of steps are not those at its step limit.
     """
     transitions, over = domain.transitions(), domain.over()
     states = np.arange(domain.n_states)

@@ -1,16 +1,17 @@
 """
 Strategies for the next start state, based only on the rules and the learned trees.
 
-``random`` is the paper's strategy (section 5). ``failures`` chooses among states from which the
-learned option does not behave as demonstrated: it takes the one whose shortest paths to an end
-pass through the most failing situations not demonstrated yet, so that one demonstration teaches
-the most. Once no state is stuck, it asks about states outside I without evidence, and then about
-states from which the option takes a detour. If the option cannot be run from all states, it draws
-a state from a sample: stuck, without evidence, or decided by a tenth of the demonstrations.
+``random`` is the paper's strategy (section 5). ``coverage`` chooses the state that differs most
+from all demonstrated states. ``failures`` chooses among states from which the learned option does
+not behave as demonstrated. It prefers the state with shortest paths to an end through the most
+failing situations not demonstrated yet, because a demonstration there teaches the most. Once no
+state is stuck, it asks about states outside I without evidence, and then about detours. If the
+option cannot be run from all states, it draws a state from a sample: one that is stuck, without
+evidence, or decided by a tenth of the demonstrations.
 
-In a replayed domain, states cannot be drawn, only reached. The sample is played there: options
-taught before lead to the starts of this one, and the option's own run leads on to the state where
-it gets stuck, which is where the next demonstration starts.
+In a replayed domain, states cannot be drawn, only reached by playing. Previously taught options
+lead to the starts of this one. The option's own run leads to the state in which it gets stuck,
+where the next demonstration starts.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -59,9 +60,9 @@ import numpy as np
 
 STRATEGIES = ('random', 'coverage', 'failures')
 SHOWN_WEIGHT = 0.1  # weight of a demonstrated failing situation; others: 1
-SAMPLE = 500  # number of states, if the option cannot be run from all
+SAMPLE = 500  # number of sampled states, if the option cannot be run from all
 RUNS = 50  # number of runs from sampled states
-GAMES, STEPS = 24, 300  # number of games played in a replayed domain; steps of each, at most
+GAMES, STEPS = 24, 300  # number of games played in a replayed domain; maximum steps of each
 DRAWS = 20  # maximum number of samples, or groups of games, for fresh starts
 TOLERATED = 0.1  # maximum share of failing states at the end of a lesson
 
@@ -72,10 +73,10 @@ class UnknownStrategyError(ValueError):
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample of N states; those in which a lesson on the option is likelier come first."""
+    """A sample of N states; likely starts of the option come first."""
 
     states: list[Any]
-    askable: Flags  # (N,) may be asked about without evidence that the option can start there
+    askable: Flags  # (N,) may be asked about, even without evidence that the option can start
 
 
 def choose_start_state(
@@ -92,9 +93,9 @@ def choose_start_state(
 
     :param strategy: one of ``STRATEGIES``.
     :param option: option learned from the demonstrations; None: not learned yet.
-    :param demonstrations: those of this participant and option, including "not here" answers.
+    :param demonstrations: all of this participant and option, including "not here" answers.
     :param drawn: result of ``draw_sample`` with the same ``rng``; None: not called.
-    :param others: further options of this participant, in the order of teaching.
+    :param others: other options of this participant, in the order of teaching.
     :raises UnknownStrategyError: the strategy is unknown.
     """
     if strategy not in STRATEGIES:
@@ -102,7 +103,7 @@ def choose_start_state(
             f'unknown start-state strategy {strategy!r}; choose from {", ".join(STRATEGIES)}'
         )
     if not any(demo.kind is Kind.TRAJECTORY for demo in demonstrations):
-        option = None  # learned from other demonstrations, such as an old option file
+        option = None  # learned from other demonstrations, such as those of an old option file
     replayed = isinstance(domain, ReplayedDomain)
     if replayed and drawn is None:
         drawn = draw_sample(strategy, domain, demonstrations, rng, others)
@@ -136,7 +137,7 @@ def draw_sample(
     Draw the sample for ``choose_start_state`` in advance; it does not depend on the option.
 
     :param others: as in ``choose_start_state``.
-    :return: the states; None: it does not use a sample.
+    :return: the sample; None: the strategy does not use one.
     """
     replayed = isinstance(domain, ReplayedDomain)
     if not replayed and (strategy == 'random' or is_enumerable(domain) or not demonstrations):
@@ -179,7 +180,7 @@ class AnyStartable(Policy[SeenRows]):
 
 def _reached(domain: Domain, others: Sequence[Option], rng: np.random.Generator) -> Sample:
     """
-    Play games with random choice among options, and return the states in which one was due.
+    Play games with randomly chosen options, and return the states in which a choice was due.
 
     States in which no option can start come first, since another option is needed there; then
     those in which an option ended, and then the starts of the task.
@@ -229,9 +230,9 @@ def _instructive_state(domain: EnumerableDomain, found: Failures, rng: np.random
     """
     Return the state from which a demonstration teaches the most.
 
-    Stuck states come first, then detours. If nothing fails, return the state whose paths pass
-    through the least demonstrated states, so that no lesson relies on a single demonstration. An
-    end that nothing shows to be right comes first.
+    Stuck states come first, then detours. If nothing fails, return the state with paths through
+    the least demonstrated states, so that nothing relies on a single demonstration. States with
+    an unconfirmed end come first.
     """
     lost = found.stuck & (found.distance < 0) & (found.times_shown == 0)
     if lost.any():  # no path to a demonstrated end
@@ -270,7 +271,7 @@ def _farthest(
 
 
 def _differences(domain: Domain, chosen: Sequence[str], here: Rows, there: Rows) -> Floats:
-    """Return (N, M): by how much rows (N, F) and (M, F) differ in chosen features."""
+    """Return (N, M): the differences between rows (N, F) and (M, F) in chosen features."""
     encoding = feature_encoding(domain, chosen)
     spans = {each.feature.name: each.feature.span for each in feature_columns(domain, chosen)}
     scale = [0.5 if each.value is not None else 1 / spans[each.feature] for each in encoding]
@@ -287,17 +288,17 @@ def sort_stuck(
     planned: Collection[str],
 ) -> dict[str, list[Any]]:
     """
-    Return states in which a plan got stuck, by the option to be shown there.
+    Group the states in which a plan got stuck by the option to demonstrate there.
 
-    It is the option that ran there. If no option could start, or the person has said "not here",
-    it is the one that was shown from the most similar start. States that look like those of a
-    demonstration after the plan are left out.
+    This is the option that ran. If none could start, or the person answered "not here" for it, it
+    is the option with the most similar demonstrated start. States that look like those of a
+    demonstration made after the plan are omitted.
 
-    :param stuck: name of the option that ran, or empty, and state.
+    :param stuck: pairs of the option that ran (empty: none) and the state.
     :param taught: demonstrations of each option.
     :param planned: uuids of the demonstrations from which the options of the plan were learned.
-    :return: the states of each option, the options with the most states first, and the states with
-        the commonest look.
+    :return: the states of each option; options with the most states, and states with the most
+        common look, come first.
     """
     shown = {
         name: [demo for demo in demos if demo.kind is Kind.TRAJECTORY]
@@ -331,7 +332,7 @@ def sort_stuck(
 
 
 def _from_starts(domain: Domain, row: Rows, demos: Sequence[Demonstration]) -> float:
-    """Return the mean difference per chosen feature of a row (1, F) from the nearest start."""
+    """Return the mean difference per chosen feature between a row (1, F) and the nearest start."""
     chosen = demos[-1].chosen_features
     starts = np.stack([demo.feature_rows[0] for demo in demos])
     return float(_differences(domain, chosen, row, starts).min()) / len(chosen)
@@ -352,9 +353,9 @@ def _best(score: Floats, rng: np.random.Generator) -> int:
 class SampledFailures:
     """The outcome of running an option from a sample of states."""
 
-    states: list[Any]  # (N,); in a replayed domain, where a run got stuck instead of its start
+    states: list[Any]  # (N,); in a replayed domain, the end of a stuck run replaces its start
     member: Flags  # (N,) in the learned I
-    stuck: Flags  # (N,) the run from there reaches no end, or is less likely to than it might be
+    stuck: Flags  # (N,) the run from there reaches no end, or does so less often than possible
     failing: Flags  # (N,) stuck, in doubt, or the committee disagrees
 
     @property
@@ -374,8 +375,8 @@ def sample_failures(
     """
     Evaluate a sample of states, and run the option from ``RUNS`` of those where it can start.
 
-    :param demonstrations: those from which the option was learned.
-    :param drawn: states already drawn from ``rng``; None: draw them.
+    :param demonstrations: demonstrations from which the option was learned.
+    :param drawn: sample already drawn from ``rng``; None: draw one.
     :param others: as in ``choose_start_state``.
     """
     replayed = isinstance(domain, ReplayedDomain)
@@ -408,8 +409,8 @@ def _where_stuck(
     """
     Run an option once from each of N states of a replayed domain.
 
-    :return: (N,) the state in which it first leaves I, or else repeats itself or exceeds its
-        steps; its start, if its end is not like the shown ones; None: its end is.
+    :return: (N,) for a run without an end, the state in which it first leaves I, or else its last
+        state; for a run with an end unlike the demonstrated ones, its start; otherwise None.
     """
     left: dict[int, Any] = {}
     last = list(starts)
@@ -476,7 +477,7 @@ def nothing_fails(
     others: Sequence[Option] = (),
 ) -> bool:
     """
-    Return whether the option fails from no state, or from few states of a sample.
+    Return whether the option fails from no state, or only from a few states of a sample.
 
     :param rng: generator for the sample, if the option cannot be run from all states.
     :param others: as in ``choose_start_state``.
@@ -497,8 +498,8 @@ def fresh_starts(
     """
     Yield groups of starts of an option, drawn the way its task draws them.
 
-    :param seed: seed of the states, if they can be sampled: always the same, as drawing is slow.
-    :param rng: generator for the games that lead to the states, if they cannot.
+    :param seed: seed of states that can be sampled; samples are cached, because drawing is slow.
+    :param rng: generator for the games that lead to states in a replayed domain.
     :param others: as in ``choose_start_state``.
     :return: states in I, in at most ``DRAWS`` groups.
     """

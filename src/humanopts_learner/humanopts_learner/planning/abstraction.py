@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Codes = NDArray[np.int64]  # of abstract states
-BINS = 10  # of a continuous feature without numbers
+BINS = 10  # bins of a continuous feature without numbers
 
 
 class Column:
@@ -48,7 +48,7 @@ class Column:
             self.edges = np.linspace(feature.low, feature.high, BINS + 1)[1:-1]
 
     def bins(self, rows: Rows) -> Ints:
-        """Return the bin of each row (N, F), (N,)."""
+        """Return (N,): the bin of each row (N, F)."""
         values = self._column.values(rows)
         if self.edges.size:
             return self.edges.searchsorted(values, side='right')
@@ -71,12 +71,12 @@ class Abstraction:
 
     def codes(self, games: Games | None, rows: Rows, symbols: Sequence[Ints | Flags]) -> Codes:
         """
-        Return the codes of the abstract states of games, (N,).
+        Return (N,): the codes of the abstract states of games.
 
         A code is the sum of all columns, each multiplied by a random 64-bit number, so a collision
         among a million states has a probability below 1e-6.
 
-        :param games: None: only their features are known.
+        :param games: games of the rows; None: only their features are known.
         :param rows: (N, F) features of the games.
         :param symbols: symbol columns, (N,) each.
         """
@@ -100,8 +100,8 @@ class StateRows:
     """
     The rows of abstract states in a table.
 
-    Codes are random numbers, so their first bits place them in equally filled buckets, in which a
-    search is several times as fast as a binary search.
+    Codes are random numbers, so their leading bits place them in equally filled buckets. Searching
+    a bucket is several times as fast as a binary search.
     """
 
     def __init__(self, states: Codes) -> None:

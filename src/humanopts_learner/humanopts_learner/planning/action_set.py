@@ -1,8 +1,9 @@
 """
 The observations and options of sampled planning, in many parallel games.
 
-Games with equal columns are in one abstract state; abstract states are few enough to be visited
-often. The options of an action set, including primitive actions, run in all games in parallel.
+Games with equal columns are in one abstract state; abstract states must be few enough to be
+visited often. The options of an action set, including primitive actions, run in all games in
+parallel.
 """
 
 from collections.abc import Sequence
@@ -85,7 +86,7 @@ class ActionSet:
     """
     The options, followed by all primitive actions as one-step options.
 
-    Those with an index of ``first_fallback`` or more run only if no option can start.
+    Actions with an index of ``first_fallback`` or more run only if no option can start.
     """
 
     def __init__(
@@ -127,7 +128,7 @@ class ActionSet:
         return self.see_rows(games.features(), games)
 
     def see_rows(self, rows: Rows, games: Games | None = None) -> Observation:
-        """Observe games by their features (N, F); None: nothing else is known of them."""
+        """Observe games by their features (N, F); ``games`` is None if nothing else is known."""
         shape, n_options = (len(rows), self.first_fallback), len(self.options)
         startable, ending = np.ones(shape, dtype=np.bool_), np.ones(shape, dtype=np.bool_)
         wanted = np.empty(shape, dtype=np.int16)
@@ -146,12 +147,12 @@ class ActionSet:
         return Observation(states, startable, wanted, ending, fallback, n_options)
 
     def loops(self, count: int, rng: np.random.Generator | None) -> Loops | None:
-        """Return what happens to runs that repeat themselves, in N games; see ``loops_of``."""
+        """Return a detector of runs that repeat themselves; see ``loops_of``."""
         return loops_of(self.domain, self.options, count, rng, self.n_actions)
 
     @property
     def modelled(self) -> tuple[str, ...]:
-        """Names of the models: starting each option, then continuing it where it cannot start."""
+        """Names of models: starting each option, then continuing it where it cannot start."""
         names = self.names[: self.first_fallback]
         return (*names, *(f'going on: {option.name}' for option in self.options))
 
@@ -159,7 +160,7 @@ class ActionSet:
         """
         Return (N,): the action of the option with the highest initiation probability.
 
-        Options without probabilities count as 0, since they cannot start.
+        Options without probabilities have probability 0, since none of the options can start.
         """
         chances = [
             option.initiation_probability(rows)

@@ -1,4 +1,4 @@
-"""What the choice between options depends on, as far as demonstrations show it."""
+"""Features on which the choice between options depends, as far as demonstrations show it."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,8 +9,8 @@ from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.abstraction import BINS
 import numpy as np
 
-MIN_STARTS = 3  # for and against an option
-MIN_SHARE = 0.9  # of starts that a feature sorts correctly, mean of both sides
+MIN_STARTS = 3  # minimum number of starts for, and against, an option
+MIN_SHARE = 0.9  # minimum share of correctly classified starts, balanced
 
 
 def suggest_column(
@@ -21,12 +21,12 @@ def suggest_column(
     """
     Return the feature that best separates the starts of options where several could start.
 
-    A start of an option speaks for it, and a "not here" against it. So does the start of another
-    option in a state where this one could start, too. Symbols of the options do not show such a
-    difference, so a plan needs the feature as a column. A continuous feature has ``BINS`` bins,
-    one of which begins at the best split: where exactly the choice changes, the plan finds.
+    A demonstrated start counts for its option. A "not here" answer counts against it, and so does
+    the start of another option where this one could start, too. Symbols of the options do not show
+    such a difference, so a plan needs the feature as a column. A continuous feature has ``BINS``
+    bins, one of which begins at the best split; planning finds where exactly the choice changes.
 
-    :param demonstrations: those of each option, by name.
+    :param demonstrations: demonstrations of each option, by name.
     :return: a column as in ``Abstraction``, such as ``battery:2,12,22,32``; empty: no feature
         separates them.
     """
@@ -59,11 +59,11 @@ def suggest_column(
 
 def _best_split(values: Floats, own: Flags, kind: FeatureKind) -> tuple[float, float]:
     """
-    Sort starts (N,) by the values of one feature.
+    Find the best split of starts (N,) by one feature.
 
-    :param own: (N,) whether each start speaks for the option.
-    :return: the share sorted correctly, mean of both sides; and the first value of the upper part,
-        unless the feature is nominal.
+    :param own: (N,) whether each start counts for the option.
+    :return: the share classified correctly, mean of both classes; and the edge between the lower
+        and the upper part, 0 if the feature is nominal.
     """
     known = np.unique(values)
     here = values == known[:, None]  # (V, N)

@@ -60,7 +60,7 @@ class Returns:
     successes: Flags  # (E,) task completed, not cut off
     decisions: Ints  # (E,) number of options begun
     fallbacks: Ints  # (E,) primitive actions taken because no option could start
-    random_moves: Ints  # (E,) taken because an option repeated itself
+    random_moves: Ints  # (E,) moves taken because an option repeated itself
     outcomes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """(E,) each: other results that the domain reports of its games; exact: none."""
 
@@ -90,7 +90,7 @@ class Returns:
 class Decision:
     """The next option of a policy over options."""
 
-    name: str  # an option, or action:NAME
+    name: str  # name of an option, or action:NAME
     fallback: bool  # primitive action taken because no option is available
 
 
@@ -110,9 +110,9 @@ class PolicyPlan(ABC):
     first_fallback: int  # index of the first fallback; number of names: none
     solution: Solution
     game_steps: int = 0  # sampled or recorded
-    recorded_runs: int = 0  # that the plan is from
+    recorded_runs: int = 0  # number of runs used
     table_seconds: float = 0.0  # for option tables of exact plans
-    model_seconds: float  # for sampled models: sampling and counting
+    model_seconds: float  # building models, including sampling and counting
     sweep_seconds: float
 
     @property
@@ -167,7 +167,7 @@ def make_exact_plan(
     """
     resolved = request.resolved(domain, options, sampled=False)
     used = () if resolved.action_set == PRIMITIVE else tuple(options)
-    # Built once for all plans, so not included in the planning time.
+    # These tables are built once for all plans, so planning times exclude them.
     domain.transitions(), domain.over()
     if not all(isinstance(option, TabularOption) for option in used):
         domain.feature_table()
@@ -180,7 +180,7 @@ def make_exact_plan(
     model = build_model(domain, resolved.action_set, tabled, resolved.gamma, progress)
     modelled = clock()
     on_sweep = None
-    if progress is not ignore_progress:  # would slow small plans down by half
+    if progress is not ignore_progress:  # ignored reports would slow small plans down by half
         on_sweep = sweep_progress(progress, resolved.tol, resolved.max_sweeps)
     solution = solve_smdp(model, resolved.tol, resolved.max_sweeps, on_sweep)
     return ExactPlan(
@@ -263,10 +263,10 @@ def _primitive_states(
     domain: EnumerableDomain, action_set: str, options: Sequence[TabularOption]
 ) -> Flags:
     """
-    Return the states in which primitive actions can be chosen, (S,).
+    Return (S,): whether primitive actions can be chosen in each state.
 
-    In the sets ``human`` and ``automatic`` these are only the states without an available option;
-    if there are none, the set contains no primitive actions.
+    In the sets ``human`` and ``automatic``, they can be chosen only where no option is available;
+    if there is no such state, the set contains no primitive actions.
     """
     going = ~domain.over()
     if action_set not in OPTIONS_ONLY:
@@ -282,7 +282,7 @@ def option_table(
     Return the options of an action set as a single table.
 
     :param options: ignored in the set ``primitive``.
-    :raises PlanError: the set is unknown, or its options are missing or not distinct.
+    :raises PlanError: the set is unknown, or its options are missing or have equal names.
     """
     PlanRequest(action_set).resolved(domain, options, sampled=False)
     used = () if action_set == PRIMITIVE else tuple(options)

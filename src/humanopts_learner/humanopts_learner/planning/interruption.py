@@ -1,5 +1,5 @@
 """
-Interruption and modules: selecting the option that acts in the next step, by the values of a plan.
+Interruption and modules: choosing the option that acts in the next step, by the values of a plan.
 
 A policy over options can be executed in four ways. All but the first are polling executions: they
 decide again before each step, based on one table of option values, so the same table, states and
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye
 
-MAX_EXACT_STATES = 20_000  # limit up to which the exact return takes no longer than planning
+MAX_EXACT_STATES = 20_000  # number of states up to which the exact return is as fast as planning
 ROUNDING = 1e-9  # tolerance for rounding errors, relative to the largest value
 
 
@@ -45,11 +45,11 @@ class OptionValues:
     action_set: str
     names: tuple[str, ...]  # (O,) options, then action:NAME
     states: NDArray[np.int64]  # (K,) ascending
-    option_values: Floats  # (K, O) of choosing the option now
-    continuation_values: Floats  # (K, O) of continuing it, even where it cannot start
+    option_values: Floats  # (K, O) value of choosing the option now
+    continuation_values: Floats  # (K, O) value of continuing it, even where it cannot start
     interruption_margin: float  # differences up to this are ignored
     sampled: bool  # states are abstract states
-    columns: tuple[str, ...] = ()  # of abstract states, as in ``Abstraction``
+    columns: tuple[str, ...] = ()  # feature columns of abstract states, as in ``Abstraction``
 
     def __post_init__(self) -> None:
         shape = len(self.states), len(self.names)
@@ -93,7 +93,7 @@ def arbitrate(
     """
     Arbitrate between modules: return (N,) the index of the option that acts.
 
-    By greatest mass, it is the strongest module among those whose action has the greatest mass.
+    By greatest mass, it is the strongest module with an action of the greatest mass.
     Ties between masses are broken by the strongest module, and between modules by lowest index.
 
     :param execution: one of ``MODULAR``.

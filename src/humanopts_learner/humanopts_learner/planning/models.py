@@ -37,7 +37,7 @@ from scipy.sparse import csr_array, eye, vstack
 SparseRows = Any  # csr_array of float64; SciPy has no types
 ROUNDING = 1e-9  # tolerance of row sums above 1
 NEGLIGIBLE = 1e-14  # discounted probability treated as 0
-BLOCK = 256  # number of columns that are dense at a time
+BLOCK = 256  # number of columns converted to dense arrays at a time
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class MultiTimeModel:
         more than 1.
     """
 
-    names: tuple[str, ...]  # of the options, (O,)
+    names: tuple[str, ...]  # (O,) names of the options
     reward: Floats  # (S, O), expected sum of gamma**i * r[i], i = 0..k-1
     available: Flags  # (S, O)
     rows: SparseRows  # (O*S, S), row o*S + s: expected gamma**k of each successor; 0: task over
@@ -109,7 +109,7 @@ def primitive_model(
     transitions: Transitions, over: Flags, gamma: float, names: Sequence[str]
 ) -> MultiTimeModel:
     """
-    Return the exact model whose options are the primitive actions.
+    Return the exact model with the primitive actions as options.
 
     :param over: (S,) whether the task is over, so that no action is available.
     :param names: names of the actions, (A,).
@@ -122,7 +122,7 @@ def primitive_model(
     if not transitions.deterministic:
         share = gamma * transitions.probability.swapaxes(0, 1).ravel()
         reward = (transitions.probability * transitions.reward).sum(axis=2)
-        successor = successor.copy()  # since it is sorted below
+        successor = successor.copy()  # because it is sorted below
     ends = np.arange(0, successor.size + 1, outcomes, dtype=np.int32)
     parts = np.where(ended, 0.0, share), successor, ends
     rows = csr_array(parts, shape=(actions * count, count))
@@ -168,11 +168,11 @@ def deterministic_model(
     """
     Return the model of an option if every action has a single outcome; as ``model_option``.
 
-    Table rows whose next step ends the option are made absorbing, so n moves are a product of
-    binary powers of one table; the last step is added at the end.
+    Table rows from which the next step ends the option are made absorbing, so n moves are a
+    product of binary powers of one table; the last step is added at the end.
     """
     ends = option.termination | over
-    for states in (np.flatnonzero(starts), np.arange(len(ends))):  # all, if runs leave the starts
+    for states in (np.flatnonzero(starts), np.arange(len(ends))):  # all if runs leave the starts
         pair = states * rules.successor.shape[1]
         pair += option.action[states]
         successor = rules.successor.ravel()[pair].astype(np.intp)
@@ -301,7 +301,7 @@ def _rewards(on: SparseRows, reward: Floats, max_steps: int) -> tuple[Floats, Fl
 
 def _unlimited_successors(on: SparseRows, end: SparseRows, can_end: Flags) -> SparseRows:
     """
-    Solve (I - M) F = E, (n, S), for rows whose runs can end; in other rows, F is 0.
+    Solve (I - M) F = E, (n, S), for rows with runs that can end; in other rows, F is 0.
 
     :param can_end: (n,) whether the option may end with the next step, task over or not.
     """

@@ -93,8 +93,8 @@ class Performance:
     total: Interval  # undiscounted return
     discounted: Interval
     decisions: int  # number of options begun
-    fallbacks: int  # primitive actions among them, because no option could start
-    random_moves: int  # because an option repeated itself
+    fallbacks: int  # primitive actions taken because no option could start
+    random_moves: int  # moves taken because an option repeated itself
     outcomes: Mapping[str, Interval]  # other results reported by the domain; exact: none
     totals: Floats = field(compare=False, repr=False)  # (E,) undiscounted return per episode
 
@@ -103,7 +103,7 @@ def judge_plan(
     plan: AnyPlan, seed: int, episodes: int, progress: Progress = ignore_progress
 ) -> Performance:
     """
-    Play episodes by a plan under the real rules, running each option to its end.
+    Play episodes with a plan by the real rules, running each option to its end.
 
     :param seed: random seed of start states and chance.
     :param episodes: number of episodes, 1 or more.

@@ -1,13 +1,13 @@
 """
 Planning from recorded runs, in worlds that can only be acted in.
 
-The runs of options that were recorded are samples of their models, by the same rules as the runs
-of sampled games (``planning.sampling``): every suffix of a run counts, over the abstract states of
-the action set. A run also counts for an option that was relearned since, as far as the option
-would have acted as recorded, and up to where it would have ended.
+Recorded runs of options are samples of their models, by the same rules as the runs of sampled
+games (``planning.sampling``): every suffix of a run counts, over the abstract states of the action
+set. A run also counts for an option relearned since, up to the step at which that option would
+have ended, if it would have taken the recorded actions until then.
 
-There are two ways from samples to a policy: models and value iteration, or SMDP Q-learning, which
-learns from one run after another and so also chooses the options while the machine drives.
+Samples become a policy by models and value iteration, or by SMDP Q-learning. The latter learns
+from one run at a time, so it can also choose the options while the machine drives.
 """
 
 from collections.abc import Sequence
@@ -41,19 +41,19 @@ from humanopts_learner.qlearning import QTable, Rates
 from humanopts_learner.run import RunStatus
 import numpy as np
 
-MIN_SAMPLES = 3  # of recorded runs, for a pair of state and option to be available
-MAX_MISSING = 20  # pairs that are named
+MIN_SAMPLES = 3  # recorded samples required for a pair of state and option to be available
+MAX_MISSING = 20  # maximum length of ``RecordedPlan.missing``
 DEFAULT_RATES = Rates(learning_rate=0.1, explore=0.3, averages=True)  # of ``OptionLearner``
-REPLAYS = 50  # earlier samples that update the values again, for each run
+REPLAYS = 50  # number of samples replayed after each run
 
 
 @dataclass(frozen=True)
 class Missing:
-    """An option that can start in an abstract state, and has too few samples there."""
+    """An option that can start in an abstract state, but has too few samples there."""
 
     option: str
-    state: str  # values of features, in words
-    choices: int  # recorded choices in this state
+    state: str  # feature values as text
+    choices: int  # number of recorded choices in this state
     samples: int
 
 
@@ -61,14 +61,14 @@ class Missing:
 class RecordedPlan(SampledPlan):
     """A plan from recorded runs."""
 
-    missing: Sequence[Missing]  # those with the most choices first
+    missing: Sequence[Missing]  # most choices first
 
 
 def check_learning(learning: str, domain: ActableDomain) -> None:
     """
-    Check the way from recorded runs to a plan: ``Q``, or empty for models.
+    Check how a plan is learned from recorded runs: ``Q``, or empty for models.
 
-    :raises PlanError: it is unknown, or the domain has rules, so that its runs are not recorded.
+    :raises PlanError: the method is unknown, or the domain can be simulated.
     """
     if learning not in ('', Q):
         raise PlanError(f'unknown learning {learning!r}; choose {Q!r}, or leave it empty')
@@ -78,9 +78,9 @@ def check_learning(learning: str, domain: ActableDomain) -> None:
 
 def samples_of_run(actions: ActionSet, run: OptionRun, gamma: float) -> Samples | None:
     """
-    Return the samples of a recorded run; None: it does not count.
+    Return the samples of a recorded run; None: the run does not count.
 
-    It is a sample of its option, and of single steps if the action set has models of those.
+    A run is a sample of its option and, if the action set models them, of its primitive actions.
     """
     seen, count = actions.see_rows(run.rows), len(run.actions)
     moves = np.array([action_index(actions.domain, action) for action in run.actions])
@@ -104,7 +104,7 @@ def samples_of_run(actions: ActionSet, run: OptionRun, gamma: float) -> Samples 
 
 
 def _length(actions: ActionSet, run: OptionRun, seen: Observation, moves: Ints) -> int:
-    """Return the number of steps that are a run of the option as it is now; 0: none are."""
+    """Return the number of steps that count as a run of the current option; 0: none."""
     named = {option.name: option for option in actions.options}
     option = named.get(run.option)
     if option is None or (
@@ -114,7 +114,7 @@ def _length(actions: ActionSet, run: OptionRun, seen: Observation, moves: Ints) 
     index = actions.names.index(run.option)
     ends = np.flatnonzero(seen.ending[1:, index])
     length = int(ends[0]) + 1 if ends.size else len(moves) if run.status in COMPLETE else 0
-    if run.status == RunStatus.REACHED.name and not ends.size:  # it would have continued
+    if run.status == RunStatus.REACHED.name and not ends.size:  # it would continue now
         return 0
     same = run.random_moves > 0 or (seen.wanted[:length, index] == moves[:length]).all()
     return length if same else 0
@@ -122,11 +122,11 @@ def _length(actions: ActionSet, run: OptionRun, seen: Observation, moves: Ints) 
 
 class OptionLearner:
     """
-    SMDP Q-learning over the abstract states of options, from one recorded run after another.
+    SMDP Q-learning over abstract states, from one recorded run at a time.
 
-    Every suffix of a run updates the value of its own state, and then ``REPLAYS`` random samples
-    of all runs do so again. Offline and while the machine drives, the same runs in the same order
-    give the same values.
+    Every suffix of a run updates the value of its first state; then ``REPLAYS`` random samples of
+    all runs are replayed. The same runs in the same order give the same values, offline and while
+    the machine drives.
 
     :ivar actions: the action set.
     :ivar runs: number of runs that have changed the values.
@@ -161,7 +161,7 @@ class OptionLearner:
         return learner
 
     def learn(self, run: OptionRun) -> None:
-        """Update the values by a run, if it counts."""
+        """Update the values with a run, if it counts."""
         samples = samples_of_run(self.actions, run, self._gamma)
         if samples is None:
             return
@@ -179,7 +179,7 @@ class OptionLearner:
                 self.table.update(*self._known[at], again=True)
 
     def choose(self, state: Any, rng: np.random.Generator) -> Decision:
-        """Return the next option, drawn among all that can start in a share of the choices."""
+        """Return the next option; at the exploration rate, any option that can start."""
         seen = self.actions.observe_state(state)
         option = int(seen.fallback[0])
         if option < 0:
@@ -187,7 +187,7 @@ class OptionLearner:
         return Decision(self.actions.names[option], option >= self.actions.first_fallback)
 
     def policy(self, request: PlanRequest) -> tuple[Solution, GreedyPolicy]:
-        """Return the values of options that were tried, and their greedy policy."""
+        """Return the values of all options tried so far, and their greedy policy."""
         known = {state: n for state, n in self.table.visits.items() if n.any()}
         states = np.sort(np.array([*known], dtype=np.int64))
         shape = len(states), self.actions.first_fallback
@@ -223,7 +223,7 @@ def make_recorded_plan(
     A pair of abstract state and option with fewer samples than ``request.sampling.min_samples`` is
     unavailable.
 
-    :param learner: values to follow, learned from these runs; None: models and value iteration.
+    :param learner: learner with the values to follow; None: use models and value iteration.
     :param progress: called with the stages models and sweeps.
     :raises PlanError: as ``PlanRequest.resolved``, or no run counts.
     """

@@ -23,7 +23,7 @@ Q = 'q'  # learning: values by SMDP Q-learning, instead of models
 
 TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units
 MAX_SWEEPS = 10_000
-GAME_STEPS, REPLAYED_STEPS = 800_000, 10_000  # the latter where worlds step one by one
+GAME_STEPS, REPLAYED_STEPS = 800_000, 10_000  # the latter for worlds that step one at a time
 
 Clock = Callable[[], float]  # seconds
 
@@ -129,9 +129,9 @@ class PlanRequest:
     tol: float = 0.0  # tolerance of the residual, reward units; default: 1e-8 exact, 1e-3 sampled
     max_sweeps: int = 0  # default: 10,000
     game_steps: int = 0  # total sampled; see ``usual_game_steps``; always 0 for exact models
-    seed: int = 0  # of the samples
+    seed: int = 0  # random seed of the samples
     sampling: Sampling = Sampling()
-    columns: tuple[str, ...] = ()  # of sampled abstract states, as in ``Abstraction``
+    columns: tuple[str, ...] = ()  # feature columns of abstract states, as in ``Abstraction``
     unstick: bool = True  # whether sampled runs that repeat themselves take random moves
     execution: Arbitration = Arbitration.RUN_TO_END
     """
@@ -192,7 +192,7 @@ class PlanRequest:
 
 
 def usual_game_steps(domain: ActableDomain) -> int:
-    """Return the number of game steps from which a plan is sampled in a few seconds."""
+    """Return a number of game steps that can be sampled in a few seconds."""
     return REPLAYED_STEPS if isinstance(domain, ReplayedDomain) else GAME_STEPS
 
 

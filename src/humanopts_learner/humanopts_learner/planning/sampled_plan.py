@@ -1,7 +1,7 @@
 """
-Planning from samples, in rounds of play that follow the policy of the models so far.
+Planning from samples, in rounds of play that follow the policy of the current models.
 
-The policies choose among the options of an action set, for many games in parallel.
+The policies choose among the options of an action set, in many games in parallel.
 """
 
 from collections.abc import Sequence
@@ -43,8 +43,8 @@ class GreedyPolicy(Policy[Observation]):
     """
     Chooses the option with the highest value among those that can start and have enough samples.
 
-    If none of those that can start has enough samples, it chooses the one that is best in the most
-    states.
+    If no option that can start has enough samples, it chooses the one that is the best in the
+    largest number of states.
 
     :ivar values: option values of the known states.
     :ivar execution: execution of the policy; all are deterministic.
@@ -93,7 +93,7 @@ class GreedyPolicy(Policy[Observation]):
         return stopped
 
     def _best(self, seen: Observation, values: Floats) -> Ints:
-        """Return the best option by values (N, O), among those that can start."""
+        """Return (N,): the startable option with the highest value, given values (N, O)."""
         option: Ints = values.argmax(axis=1)
         others = np.flatnonzero(values.max(axis=1) == -np.inf)
         if others.size:
@@ -104,12 +104,12 @@ class GreedyPolicy(Policy[Observation]):
 
     @cached_property
     def _row(self) -> StateRows:
-        """The table row of each state; unknown states have the last row, -1."""
+        """Lookup of the table row of each state; unknown states have the last row, -1."""
         return StateRows(self.values.states)
 
     @cached_property
     def _values(self) -> Floats:
-        """Option values (K + 1, O), unknown in the last row."""
+        """Option values (K + 1, O); those of the last row are unknown."""
         return np.pad(self.values.option_values, ((0, 1), (0, 0)), constant_values=-np.inf)
 
     @cached_property
@@ -126,10 +126,10 @@ class GreedyPolicy(Policy[Observation]):
 
 @dataclass(frozen=True)
 class ExploringPolicy(Policy[Observation]):
-    """A greedy policy that sometimes runs a random option without stopping it."""
+    """A greedy policy that sometimes runs a random option, or does not stop one."""
 
     greedy: GreedyPolicy
-    share: float  # of exploring decisions
+    share: float  # share of exploring decisions
     rng: np.random.Generator
 
     def choose(self, seen: Observation, games: Ints) -> Ints:
@@ -148,12 +148,12 @@ class SampledPlan(PolicyPlan):
     """
     A plan based on the values of visited abstract states.
 
-    In the set ``human``, primitive actions are the fallback if no option can start: the action of
-    the option with the highest initiation probability. They have no models.
+    In the sets ``human`` and ``automatic``, a primitive action is the fallback if no option can
+    start: the action of the option with the highest initiation probability. It has no model.
     """
 
     actions: ActionSet
-    policy: GreedyPolicy  # executed as while sampling
+    policy: GreedyPolicy  # with the execution used for sampling
     unstick: bool  # whether runs that repeat themselves take random moves
 
     def _best(self, state: Any) -> int:
@@ -169,7 +169,7 @@ class SampledPlan(PolicyPlan):
         """
         Play episodes in the real game.
 
-        :param execution: execution of the policy; None: as while sampling.
+        :param execution: execution of the policy; None: the one used for sampling.
         :param progress: called with the stage evaluation.
         """
         policy = replace(self.policy, execution=execution or self.policy.execution)
@@ -188,9 +188,9 @@ def play_games(
     unstick: bool = True,
 ) -> Returns:
     """
-    Play games from the start of the task by a policy.
+    Play games from the start of the task with a policy.
 
-    :param episodes: number of episodes, E; the random draws of each depend on E.
+    :param episodes: number of episodes, E; their random draws depend on E.
     :param progress: called with the stage evaluation; its exceptions propagate.
     :param unstick: whether runs that repeat themselves take random moves.
     :raises PlanError: the domain has no step limit, or ``episodes`` is below 1.
@@ -218,10 +218,10 @@ def solve_sampled(
     progress: Progress = ignore_progress,
 ) -> tuple[Solution, GreedyPolicy]:
     """
-    Solve a model of counted samples.
+    Solve a sampled model.
 
     :param states: (S,) abstract states of the model, in any order.
-    :param request: resolved, as ``PlanRequest.resolved`` returns it.
+    :param request: result of ``PlanRequest.resolved``.
     :return: the solution and the greedy policy, both with states in ascending order.
     """
     n_choices = actions.first_fallback
@@ -255,7 +255,7 @@ def make_sampled_plan(
     clock: Clock = time.perf_counter,
 ) -> SampledPlan:
     """
-    Plan from samples, split equally into rounds, in a domain that plays many games in parallel.
+    Plan from samples, in rounds of equal size, in a domain that plays many games in parallel.
 
     Parameters and errors are those of ``plan.make_plan``; ``progress`` is called with the stages
     models and sweeps in each round.

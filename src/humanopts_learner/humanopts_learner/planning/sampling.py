@@ -87,12 +87,12 @@ class SampleCounts:
         Return the mean of the samples.
 
         Pairs of state and option with fewer than ``min_samples`` are unavailable. States without
-        an available pair that can be chosen have no value: samples that end there count as if they
-        had ended like the other samples of their pair; pairs without other samples are
+        an available pair that can be chosen have no value. Samples that end there count as if they
+        had ended like the other samples of their pair; pairs without other samples are also
         unavailable.
         """
         enough = self.counts >= max(min_samples, 1)
-        pairs = np.flatnonzero(enough)  # skip the others, which are many
+        pairs = np.flatnonzero(enough)  # skip the many others
         rows = self._rows[pairs]
         total = rows.sum(axis=1)
         left = np.ones(len(pairs), dtype=np.bool_)
@@ -162,7 +162,7 @@ class Sampler:
         self, policy: Policy[Observation], steps: int, on_steps: Callable[[int], object]
     ) -> int:
         """
-        Continue by a policy, and count the runs.
+        Continue the games with a policy, and count the runs.
 
         :param steps: total number of game steps, rounded down to a multiple of N.
         :param on_steps: called with the number of game steps so far.

@@ -1,9 +1,9 @@
 """
 SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 3.1).
 
-In a sampled model, many states are never a successor: runs only pass through them. No value
-depends on theirs, so sweeps skip them, and their values are computed at the end. The results are
-the same as with full sweeps.
+In a sampled model, many states are never successors: runs only pass through them. No other value
+depends on these states, so sweeps skip them, and their values are computed at the end. The results
+are the same as with full sweeps.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 
 OnSweep = Callable[[int, float], bool | None]
 Sweep = Callable[[Floats, Floats], float]
-COMPILED_FROM = 1_000_000  # state-option pairs; with fewer, sweeps end before Numba is loaded
+COMPILED_FROM = 1_000_000  # state-option pairs; with fewer, sweeps finish before Numba has loaded
 _FLOATS, _TABLE = 'float64[::1]', 'float64[:, ::1]'
 _SIGNATURE = f'float64(uint32[:, ::1], {_TABLE}, {_TABLE}, float64, {_FLOATS}, {_FLOATS})'
 
@@ -41,9 +41,9 @@ def _sweep_of(model: MultiTimeModel, n_choices: int) -> tuple[Ints, Sweep]:
     """
     Prepare the sweeps over a model.
 
-    :return: the states (R,) to sweep, and the sweep: a function of their old values (R + 1,), with
-        the last one, 0, for the end of the task, that writes the new values and returns the
-        largest change.
+    :return: the states (R,) to sweep, and the sweep function, which takes their old values
+        (R + 1,), writes the new values and returns the largest change. The last value, 0, is that
+        of the end of the task.
     """
     available, reward = model.available[:, :n_choices], model.reward[:, :n_choices]
     worth_it = compiled_sweep.cache_info().currsize or reward.size >= COMPILED_FROM
@@ -118,8 +118,8 @@ def _sweep_states(
     :param successor: (S, O), S: the end of the task. Unsigned indices need no sign check.
     :param reward: (S, O), -inf: the option is unavailable.
     :param discount: (S, O); size 0: all options are discounted by ``common``.
-    :param old: (S + 1,), old values; the last one, 0, is the end of the task.
-    :param new: (S + 1,), new values, likewise.
+    :param old: (S + 1,) old values; the last one, 0, is that of the end of the task.
+    :param new: (S + 1,) array that receives the new values.
     """
     residual = 0.0
     for state in range(len(successor)):
@@ -140,7 +140,7 @@ def compiled_sweep() -> Callable[..., float] | None:
     """
     Return ``_sweep_states`` as machine code, or None if Numba cannot be imported.
 
-    The first call on a machine compiles it, which takes some seconds, and caches it on disk. The
+    The first call on a machine compiles it within seconds and caches it on disk. After that, the
     first call in a process loads it in less than a second.
     """
     try:
@@ -188,7 +188,7 @@ def solve_smdp(
             known = np.where(live, ahead(known).max(axis=1), 0.0)
         return known
 
-    values, before, earlier = np.zeros((3, len(states) + 1))  # of the last three sweeps
+    values, before, earlier = np.zeros((3, len(states) + 1))  # values of the last three sweeps
     for sweeps in range(1, max_sweeps + 1):
         residual = sweep(values, earlier)
         values, before, earlier = earlier, values, before
@@ -201,7 +201,7 @@ def solve_smdp(
             if stop or residual <= tol:
                 break
     best, greatest = np.full(len(live), -1, dtype=np.int32), np.full(len(live), -np.inf)
-    for option, worth in enumerate(ahead(found).T):  # since argmax would copy the table
+    for option, worth in enumerate(ahead(found).T):  # because argmax would copy the table
         best[worth > greatest] = option
         np.maximum(greatest, worth, out=greatest)
     return Solution(found, best, sweeps, residual, residual <= tol)

@@ -1,4 +1,4 @@
-"""Where a plan gets stuck: played in games that it has not seen, without random moves."""
+"""Trials that show where a plan gets stuck, in new games without random moves."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,16 +18,16 @@ TRIALS = 50  # number of games
 
 @dataclass(frozen=True)
 class Trial:
-    """The games in which a plan got stuck, at most one place in each."""
+    """The places where a plan got stuck, at most one per game."""
 
-    games: int = 0  # played; 0: the plan was not tried
-    options: tuple[str, ...] = ()  # that ran there; empty: no option could start
+    games: int = 0  # number played; 0: the plan was not tried
+    options: tuple[str, ...] = ()  # option that ran there; empty: no option could start
     states: tuple[str, ...] = ()  # in the domain's notation
 
 
 @dataclass(frozen=True)
 class _WithoutFallback(Policy[Observation]):
-    """A policy whose games end where no option can start."""
+    """A policy that ends a game where no option can start."""
 
     policy: GreedyPolicy
     first_fallback: int  # index of the first primitive action
@@ -46,11 +46,11 @@ def try_plan(
     """
     Play a plan with options only, and find where it gets stuck.
 
-    An option gets stuck where it repeats itself (``Loops``), or, in a game that exceeds the step
-    limit, where the last option began. A plan gets stuck where no option can start.
+    A plan gets stuck where an option repeats itself (``Loops``), where no option can start, or, in
+    a game that exceeds the step limit, where the last option began.
 
     :param progress: called with the stage evaluation.
-    :return: not tried if the runs of no option are checked, or if games have no step limit.
+    :return: the trial; empty if no option has runs to check, or games have no step limit.
     """
     actions, domain = plan.actions, simulated(plan.domain, 'a trial')
     loops, limit = actions.loops(games, None), domain.max_steps

@@ -27,7 +27,7 @@ _SUMMARY = Codec(
     computed=['criteria_met', 'learned', 'status'],
     parts={'criteria': (_CRITERION.encode, _CRITERION.decode)},
 )
-# None is sent as NaN; the gain is omitted.
+# None is sent as NaN; ``gain`` is omitted.
 summary_to_message, summary_from_message = _SUMMARY.encode, _SUMMARY.decode
 _DEMONSTRATION = Codec(
     Demonstration, msg.Demonstration, of_value=['features'], of_message=['features']
@@ -61,10 +61,10 @@ def plan_to_message(
     trial: 'Trial',
 ) -> msg.PlanResult:
     """
-    Encode the result of planning, with the returns of the plan's evaluation episodes.
+    Encode the result of planning, with the returns of the evaluation episodes.
 
     :param coverage: coverage of the plan; None: unknown.
-    :param trial: where it got stuck.
+    :param trial: places where the plan got stuck.
     """
     from humanopts_learner.planning.exact_plan import ExactPlan
     from humanopts_learner.planning.plan import summarise_plan

@@ -8,7 +8,7 @@ from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import STREAM
 
-_GATHERING = 0.1  # s to delay publishing, to serve several new subscribers together
+_GATHERING = 0.1  # delay of publishing in s, to serve several new subscribers together
 _MAX_LIVES = 4  # maximum number of publisher_ids with stored options
 Key = tuple[str, str]  # participant and name of an option
 
@@ -17,7 +17,7 @@ class OptionPublisher:
     """
     Publishes changed options, and all options for each new subscriber.
 
-    :ivar sequence: sequence of the last message; 0: none sent.
+    :ivar sequence: sequence number of the last message; 0: none sent.
     """
 
     def __init__(self, node: NodeBase, topic: str) -> None:
@@ -31,7 +31,7 @@ class OptionPublisher:
 
     @property
     def sequence(self) -> int:
-        """Sequence of the last message; 0: none sent."""
+        """Sequence number of the last message; 0: none sent."""
         return self._publisher.sequence
 
     def publish(self, files: Mapping[Key, str]) -> None:
@@ -78,12 +78,12 @@ class OptionSubscriber:
         """
         Subscribe.
 
-        :param use: called with the options, in a new list if any has changed, and the message that
-            completed them.
+        :param use: called with the options, in a new list if any of them has changed, and the
+            message that completed them.
         """
         self._node, self._topic, self._use = node, topic, use
-        # By publisher_id, so that a foreign message cannot replace the publisher's options; None:
-        # unreadable.
+        # By publisher_id, so that messages of one publisher cannot replace options of another;
+        # None: the option is unreadable.
         self._lives: dict[str, dict[Key, LearnedOption | None]] = {}
         self._options: list[LearnedOption] = []
         node.create_subscription(OptionMessage, topic, self._read, STREAM)

@@ -87,7 +87,7 @@ class LearnerNode(NodeBase):
             self.refuse('demonstrations', message, error)
         except DataSetError as error:
             receipt.status, receipt.detail = receipt.STATUS_REFUSED, str(error)
-        except Exception as error:  # unexpected; the lesson is waiting for a receipt
+        except Exception as error:  # unexpected, but the lesson is waiting for a receipt
             receipt.status = receipt.STATUS_REFUSED
             receipt.detail = self.guard.caught('learning', error)
         self._receipts.publish(receipt)
@@ -98,7 +98,7 @@ class LearnerNode(NodeBase):
             self.get_logger().warning(trainer.problems.pop(0))
 
     def _log_learned(self, trainer: OptionTrainer, message: Demonstration) -> None:
-        """Log how far the option of a demonstration has been learned."""
+        """Log the learning progress of a demonstration's option."""
         for each in trainer.options():
             summary = each.summary
             if (summary.participant, summary.option_name) == (

@@ -29,15 +29,16 @@ from humanopts_ros.process import run_node
 from humanopts_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
 
-_LEARNED = 'learned_options'  # the topic
+_LEARNED = 'learned_options'  # topic
 _FAREWELL = 0.5  # s to answer the client of the current run on shutdown
-_FEEDBACK_PERIOD = 0.05  # s, minimum time between feedback messages
+_FEEDBACK_PERIOD = 0.05  # minimum time in s between feedback messages
 
 
 class OptionServerNode(NodeBase):
     """
-    Serves the options published by ``learner``, or those in option files until they arrive, and
-    the automatic options of ``planner``.
+    Serves the options of ``learner`` and the automatic options of ``planner``.
+
+    Until those of ``learner`` arrive, it serves option files.
     """
 
     drives: ClassVar[bool] = True
@@ -110,7 +111,7 @@ class OptionServerNode(NodeBase):
         self._serve()
 
     def _serve(self) -> None:
-        """Serve and publish the options that fit the game, once it is known; log the others."""
+        """Once the game is known, serve and publish the options that fit it; log the others."""
         for fault in self._runner.serve(chain(*self._options.values())):
             self.get_logger().warning(f'not served: {fault}')
         if (library := self._runner.library) is None:
@@ -131,21 +132,21 @@ class OptionServerNode(NodeBase):
         return response
 
     def _accepts(self, goal: ExecuteOption.Goal) -> bool:
-        """Return whether a goal can run, as far as is known; publish the refusal otherwise."""
+        """Return whether a goal can run, as far as known; publish the refusal otherwise."""
         refused = self._runner.refusal(goal) if self.waits_for() is None else None
         if refused is not None:
             self._publish(refused, 'execute_option')
         return refused is None
 
     def _on_cancel(self, handle: ServerGoalHandle) -> None:
-        """End the run once its goal is in the state canceling."""
+        """End the run once its goal has the state canceling."""
         request = self._of_goal.get(bytes(handle.goal_id.uuid))
         if request is not None and self.executor is not None:
             end = self.guard.guarded(self._runner.end)
             self.executor.create_task(end, request, RunStatus.CANCELED)
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
-        due = self.monotonic() + _FEEDBACK_PERIOD  # shorter runs have none
+        due = self.monotonic() + _FEEDBACK_PERIOD  # shorter runs have no feedback
 
         def on_progress(run: Run, action: str) -> None:
             nonlocal due
@@ -179,7 +180,7 @@ class OptionServerNode(NodeBase):
         return ExecuteOption.Result(result=result)
 
     def _send_feedback(self) -> None:
-        """Publish the newest progress, if it is not published yet."""
+        """Publish the newest progress, unless already published."""
         self._feedback_timer.cancel()
         if self._unsent is None:
             return
@@ -261,7 +262,7 @@ class OptionServerNode(NodeBase):
 
 
 def _listed(options: list[LearnedOption]) -> dict[str, Any]:
-    """Return the fields of messages that list options."""
+    """Return the fields of a message that lists options."""
     return {
         'option_names': [option.name for option in options],
         'participants': [option.participant for option in options],
@@ -269,7 +270,7 @@ def _listed(options: list[LearnedOption]) -> dict[str, Any]:
     }
 
 
-main = partial(run_node, OptionServerNode, by_events=True)  # every step waits for its answer
+main = partial(run_node, OptionServerNode, by_events=True)  # each step waits for its answer
 
 if __name__ == '__main__':
     sys.exit(main())

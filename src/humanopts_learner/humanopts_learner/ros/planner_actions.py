@@ -1,4 +1,4 @@
-"""The planner's actions: common action server, planning, and search for options."""
+"""The action servers of ``planner``: common base, planning, and search for options."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -57,7 +57,7 @@ from humanopts_ros.node_base import end_goal, NodeBase
 from rclpy.action.server import ServerGoalHandle
 
 _OPTIONS_SECONDS = 5.0  # s to wait for the options of a request
-_FEEDBACK_PERIOD = 0.1  # s
+_FEEDBACK_PERIOD = 0.1  # s between feedback messages
 T = TypeVar('T')
 
 
@@ -67,7 +67,7 @@ class MadePlan:
 
     plan: AnyPlan
     plan_id: str
-    participant: str  # of the request
+    participant: str  # as requested
     known_options: list[LearnedOption]
 
 
@@ -79,9 +79,9 @@ class PlannerState:
     unstick: bool  # as in ``PlanRequest``
     domain: ActableDomain | None = None
     taught: list[LearnedOption] = field(default_factory=list)
-    taught_sequence: int = 0  # of the message that completed the options
+    taught_sequence: int = 0  # sequence of the message that completed the taught options
     automatic: list[LearnedOption] = field(default_factory=list)
-    plans: dict[tuple[str, str], MadePlan] = field(default_factory=dict)  # set, participant
+    plans: dict[tuple[str, str], MadePlan] = field(default_factory=dict)  # by set and participant
     pool: ThreadPoolExecutor = field(default_factory=ThreadPoolExecutor)  # for long computations
     stopping: bool = False  # set on shutdown
 
@@ -100,7 +100,7 @@ async def in_thread(node: NodeBase, pool: ThreadPoolExecutor, work: Callable[[],
 
 
 class GoalError(Exception):
-    """A goal ends early; ``status`` is the name of a STATUS constant of the result."""
+    """A goal ended early; ``status`` is the name of a STATUS constant of the result."""
 
     def __init__(self, status: str, detail: str) -> None:
         super().__init__(detail)
@@ -109,16 +109,16 @@ class GoalError(Exception):
 
 class GoalServer(ABC):
     """
-    An action server for one goal at a time, which publishes goals and results, even of refusals.
+    An action server for one goal at a time; publishes goals, and results even if refused.
 
     :ivar busy: whether a goal is being executed.
     """
 
     kind: Any  # type of the action
-    name: str  # of the action
-    topics: str  # common prefix of its topics for goals and results
-    goal_kind: Any  # message type of these topics, as ``result_kind``
-    result_kind: Any
+    name: str  # name of the action
+    topics: str  # common prefix of the topics for goals and results
+    goal_kind: Any  # message type of the topic for goals
+    result_kind: Any  # message type of the topic for results
     occupation: str  # noun in "the planner is at work on another ..."
 
     def __init__(self, node: NodeBase, state: PlannerState) -> None:
@@ -138,7 +138,7 @@ class GoalServer(ABC):
         Execute a goal, and return its result.
 
         :param result: result of ``blank``, to be filled in; also used if an error is raised.
-        :raises GoalError: the goal ends early; PlanError, DomainError: it cannot be executed.
+        :raises GoalError: the goal ends early. PlanError, DomainError: it cannot be executed.
         """
 
     def on_cancel(self, handle: ServerGoalHandle) -> None:  # noqa: B027 - an optional hook
@@ -184,7 +184,7 @@ class GoalServer(ABC):
         """
         Return a function that publishes feedback at the start of a stage and periodically.
 
-        :param measured: feedback fields after the stage.
+        :param measured: feedback fields that follow the stage.
         """
         known, due = '', 0.0
 

@@ -17,7 +17,7 @@ from humanopts_learner.ros.run_recorder import RunRecorder
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 
-_FAREWELL = 1.0  # s to answer the clients of current goals on shutdown
+_FAREWELL = 1.0  # s to answer clients of current goals on shutdown
 
 
 class PlannerNode(NodeBase):

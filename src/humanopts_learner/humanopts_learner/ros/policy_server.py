@@ -51,7 +51,7 @@ from humanopts_ros.qos import LATCHED
 import numpy as np
 from rclpy.action.server import ServerGoalHandle
 
-_RESET_SECONDS = 5.0  # s to wait for an answer
+_RESET_SECONDS = 5.0  # s to wait for the answer of reset_game
 # Timeout of a run: modules may run for a whole paced episode. The server itself uses a short
 # timeout for the game.
 _RUN_SECONDS = 86_400.0
@@ -75,9 +75,9 @@ class _PolicyRun:
     execution: Arbitration
     result: PolicyResult
     limit: int  # maximum number of decisions per episode
-    explore: float  # share of random choices; learning: see there
+    explore: float  # share of random choices; unused while learning
     learning: '_Learning | None'  # chooses the options; None: the plan does
-    execution_sequence: int = 0  # of the current ExecutionState
+    execution_sequence: int = 0  # sequence of the current ExecutionState
 
 
 @dataclass
@@ -89,19 +89,19 @@ class _Learning:
     request: PlanRequest
     learner: OptionLearner
     rates: Rates
-    plan_id: str  # of the plan by its values
+    plan_id: str  # id of the plan that follows the values
     participant: str
     known_options: list[LearnedOption]  # as in ``MadePlan``
-    made: MadePlan = field(init=False)  # by the values that it begins with
+    made: MadePlan = field(init=False)  # plan that follows the initial values
 
 
 class PolicyServer(GoalServer):
     """
-    Plays episodes by the newest plans, one policy at a time.
+    Plays episodes with the newest plans, one policy at a time.
 
-    ``game`` begins the episodes, and ``option_server`` runs the options. Option values are sent to
-    ``option_server`` when a policy needs them, so that it can decide which option acts. The
-    execution can be changed at any time, and takes effect with the next action.
+    ``game`` begins the episodes, and ``option_server`` runs the options. If a policy needs option
+    values, they are sent to ``option_server``, which decides with them which option acts. The
+    execution can be changed at any time; the change takes effect with the next action.
     """
 
     kind, name, topics = RunPolicy, 'run_policy', 'policy'
@@ -165,9 +165,9 @@ class PolicyServer(GoalServer):
 
     async def _begin_learning(self, goal: RunPolicy.Goal, domain: ActableDomain) -> '_Learning':
         """
-        Return the values of all recorded runs, and a plan by them.
+        Return a learner trained on all recorded runs, and a plan by its values.
 
-        :raises PlanError: the options cannot be learned with, or a number is out of range.
+        :raises PlanError: the action set and the options do not fit, or a number is out of range.
         """
         known = self._state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
@@ -204,7 +204,7 @@ class PolicyServer(GoalServer):
         """
         Return the plan to follow.
 
-        :raises GoalError: there is none, or its options have changed.
+        :raises GoalError: there is no plan, or its options have changed.
         """
         made = self._state.plans.get((goal.action_set, goal.participant))
         if made is None:
@@ -270,8 +270,8 @@ class PolicyServer(GoalServer):
         """
         Play an episode, and return its undiscounted and discounted return.
 
-        :param number: of the episode, from 0.
-        :raises GoalError: or PlanCanceled: the run ends before the episode.
+        :param number: number of the episode, from 0.
+        :raises GoalError: or PlanCanceled: the run ends before the episode does.
         """
         plan, result, domain = run.made.plan, run.result, run.made.plan.domain
         start = episode_start(domain, goal.seed, number) if can_simulate(domain) else None
@@ -338,14 +338,14 @@ class PolicyServer(GoalServer):
         """
         Return the name of the next option.
 
-        :param text: the state, in the domain's notation.
-        :param here: its episode and step.
+        :param text: state in the domain's notation.
+        :param here: episode and step of the state.
         :raises GoalError: the state has not arrived.
         """
         plan, recorder = run.made.plan, self._state.recorder
         if can_simulate(plan.domain):
             state = plan.domain.decode(text)
-        else:  # its features are known from its message alone
+        else:  # only the message of the state contains its features
 
             def has_arrived() -> bool:
                 newest = recorder.newest
@@ -365,7 +365,7 @@ class PolicyServer(GoalServer):
         return plan.choose(state).name
 
     async def _learn(self, learner: OptionLearner, run_id: str, result: PolicyResult) -> None:
-        """Update the values by a run, once it is recorded."""
+        """Update the values with a run, once it is recorded."""
         recorder = self._state.recorder
 
         def is_recorded() -> bool:
@@ -379,9 +379,9 @@ class PolicyServer(GoalServer):
 
     async def _run_option(self, request: RunOption.Request) -> OptionResult:
         """
-        Run an option, or all of them as modules.
+        Run an option, or all options as modules.
 
-        :raises GoalError: option_server does not answer.
+        :raises GoalError: ``option_server`` does not answer, or was restarted.
         """
         counts, server = self._peers.restarts, 'option_server'
         before = counts[server]
@@ -404,7 +404,7 @@ class PolicyServer(GoalServer):
             raise PlanCanceled
 
     async def _publish_values(self, made: MadePlan) -> None:
-        """Send the values for arbitration to ``option_server``, unless it has them."""
+        """Send the values for arbitration to ``option_server``, unless it already has them."""
         if self._published == made.plan_id:
             return
         plan = made.plan

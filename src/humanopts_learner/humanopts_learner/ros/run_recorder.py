@@ -1,4 +1,4 @@
-"""Recording of the option runs of a world that can only be acted in."""
+"""Recording of option runs in a world that can only be acted in."""
 
 from pathlib import Path
 
@@ -19,14 +19,14 @@ from humanopts_ros.node_base import NodeBase
 
 class RunRecorder:
     """
-    Follows a world that can only be acted in, and keeps each run of an option.
+    Follows a world that can only be acted in, and records each run of an option.
 
-    :ivar newest: newest state of the world; None: none has arrived.
+    :ivar newest: newest state of the world; None: no state has arrived.
     """
 
     def __init__(self, node: NodeBase, game: GameSubscriber, directory: str) -> None:
         """
-        Prepare; ``begin`` starts to record.
+        Prepare for recording; ``begin`` starts it.
 
         :param directory: folder of the runs; empty: they are kept in memory only.
         """
@@ -37,7 +37,7 @@ class RunRecorder:
 
     @property
     def runs(self) -> list[OptionRun]:
-        """All recorded runs, oldest first; the list grows."""
+        """All recorded runs, oldest first; a live list."""
         return [] if self._log is None else self._log.runs
 
     def begin(self, domain: ActableDomain) -> None:

@@ -1,7 +1,7 @@
 """
 The runner, which executes one run at a time over the graph, in lock-step with ``game``.
 
-It receives the option values and the current execution of the policy that ``planner`` runs.
+It receives the option values and the current execution of the policy run by ``planner``.
 """
 
 from collections.abc import Callable, Iterable
@@ -45,7 +45,7 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, LATCHED
 
 _STOPS = 'option_server stops'
-_FAREWELL = 0.3  # s to wait for the end of an action that is stopped on shutdown
+_FAREWELL = 0.3  # s to wait on shutdown for the end of a stopped action
 _CHECK_PERIOD = 0.1  # s between checks for command timeouts
 _INTERRUPTED = (
     ActionRefusal.REASON_HELD_BY_PERSON,
@@ -66,9 +66,9 @@ class RunRequest:
     :ivar via: name of the service or action.
     :ivar run_id: UUID of the run.
     :ivar execution_sequence: sequence of the ExecutionState; 0: the execution is fixed.
-    :ivar on_progress: called after each step, and while an action lasts, with the run and the name
-        of the action.
-    :ivar ending: why the run ends early; None: it does not.
+    :ivar on_progress: called after each step and during long actions, with the run and the name of
+        the action.
+    :ivar ending: status and details of an early end; None: no early end.
     """
 
     goal: Goal
@@ -87,9 +87,9 @@ class _Active:
     request: RunRequest
     deadline: float = 0.0
     command: int = 0  # sequence of the pending command
-    seconds: float = 0.0  # longest duration of its action
-    stopped: bool = False  # whether a stop of the action was sent
-    cut_short: str = ''  # the action that was stopped by others; empty: none
+    seconds: float = 0.0  # maximum duration of its action
+    stopped: bool = False  # whether a command to stop the action was sent
+    cut_short: str = ''  # action that was stopped from outside; empty: none
     result: RunResult | None = None
 
 
@@ -100,19 +100,19 @@ class PolicySubscriber:
         """
         Subscribe.
 
-        :param on_execution: called with each new execution.
+        :param on_execution: called after each new execution.
         """
         self._node, self._changed = node, on_execution
         self._message = OptionValues()
-        self._values: PlanValues | None = None  # of the message
+        self._values: PlanValues | None = None  # values of the message
         self._state = ExecutionState()
-        self.arbiters: dict[Arbitration, Arbiter] = {}  # of the newest values and options
+        self.arbiters: dict[Arbitration, Arbiter] = {}  # for the newest values and options
         node.subscribe(OptionValues, 'option_values', self._read, self._on_values, CURRENT)
         node.subscribe(ExecutionState, 'execution', _checked, self._on_execution, CURRENT)
 
     @property
     def plan_id(self) -> str:
-        """The plan of the newest values; empty: none have arrived yet."""
+        """The plan of the newest values; empty: no values have arrived yet."""
         return str(self._message.plan_id)
 
     def arbiter(self, execution: Arbitration, library: OptionLibrary) -> Arbiter:
@@ -160,16 +160,16 @@ class Runner:
     """
     Runs options or modules in the current episode, one request at a time.
 
-    The runner decides after each state and before each command whether the run continues, and
-    stops an action that takes time where the run ends early, so no command is pending when the run
-    ends, canceled or not. It also arbitrates: the same states, values and execution give the same
-    run. If a person takes control, an action is cut short or the game is reset, the run ends as
-    interrupted; if the game does not respond, it ends after a timeout.
+    The runner decides after each state and before each command whether the run continues. If a run
+    ends early, the runner stops an action that takes time, so that no command is pending when the
+    run ends, canceled or not. It also arbitrates: the same states, values and execution give the
+    same run. If a person takes control, an action is cut short or the game is reset, the run ends
+    as interrupted; if the game does not respond, it ends after a timeout.
 
     :ivar library: options that can be run; None: the game is not known yet.
-    :ivar taught_sequence: of the message that completed the taught options; 0: none has.
+    :ivar taught_sequence: sequence of the message that completed the taught options; 0: none yet.
     :ivar patience: timeout in s for the game and for the values of a plan; may be changed.
-    :ivar state: newest state of the game; None: none published yet.
+    :ivar state: newest state of the game; None: no state has arrived yet.
     """
 
     def __init__(
@@ -185,8 +185,8 @@ class Runner:
         """
         Subscribe to the states of the game.
 
-        :param seed: random seed of draws in sampled mode.
-        :param patience: see the attribute.
+        :param seed: random seed of sampled mode and of random moves.
+        :param patience: as the attribute.
         :param unstick: whether runs that repeat themselves take random moves.
         """
         self._node, self._mode, self._seed, self.patience = node, mode, seed, patience
@@ -195,7 +195,7 @@ class Runner:
         self.library: OptionLibrary | None = None
         self.taught_sequence = 0
         self.state: Observed | None = None
-        self._requests: list[RunRequest] = []  # the first runs; others preempted those before them
+        self._requests: list[RunRequest] = []  # the first one runs; each preempted earlier ones
         self._active: _Active | None = None  # set with the first command
         self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
@@ -203,9 +203,9 @@ class Runner:
         game.follow('game_state', self._on_state)
         game.follow('current_state', self._on_state, LATCHED)  # published before the subscription
         game.follow_refusals(self._on_refusal)
-        self._control = ControlState()  # the newest
+        self._control = ControlState()
         game.follow_control(self._on_control)
-        self._progress = ActionProgress()  # the newest
+        self._progress = ActionProgress()
         self._check_timer = node.create_timer(_CHECK_PERIOD, self._check, autostart=False)
 
     @property
@@ -214,7 +214,7 @@ class Runner:
         return bool(self._requests)
 
     def open(self, domain: ActableDomain) -> None:
-        """Begin to serve options of the game."""
+        """Begin serving options of the game."""
         self.library = OptionLibrary(domain)
         if any(action.seconds for action in domain.actions):
             self._game.subscribe(
@@ -222,7 +222,7 @@ class Runner:
             )
 
     def serve(self, options: Iterable[LearnedOption]) -> list[str]:
-        """Use the options that fit the game, once it is known; return why others do not."""
+        """Use the options that fit the game, once it is known; return the faults of others."""
         self._policy.arbiters.clear()
         faults = self.library.replace(options) if self.library is not None else []
         self._node.waiting.check()
@@ -240,7 +240,7 @@ class Runner:
         """
         End a run early: at once if it has not begun, otherwise with the next state.
 
-        :param status: of the result, unless the run ends for another reason before.
+        :param status: status of the result, unless the run ends earlier for another reason.
         :param detail: details of the status.
         """
         request.ending = request.ending or (status, detail)
@@ -249,7 +249,7 @@ class Runner:
         self._node.waiting.check()
 
     def refusal(self, goal: Goal) -> OptionResult | None:
-        """Return the result of a goal that cannot run now; None: it can, as far as is known."""
+        """Return the result of a goal that cannot run now; None: it can, as far as known."""
         try:
             execution = self._check_goal(goal)
             waits = self._requests or goal.options_sequence > self.taught_sequence
@@ -292,7 +292,7 @@ class Runner:
                     plan_id=goal.plan_id,
                 )
             )
-            if not request.execution_sequence:  # a policy has too many runs
+            if not request.execution_sequence:  # policies have too many runs to log each
                 where = 'episode {} step {}'.format(*run.position)
                 self._node.get_logger().info(f'{name} runs from {where} ({request.via})')
             self._check_timer.reset()
@@ -310,7 +310,7 @@ class Runner:
 
     def _check_goal(self, goal: Goal) -> Arbitration:
         """
-        Check what does not depend on the start state, and return the execution.
+        Check all conditions except those on the start state, and return the execution.
 
         :raises RefusedError: the goal cannot run now.
         :raises UnknownOptionError: the option does not exist.
@@ -402,8 +402,8 @@ class Runner:
         """
         Wait for a start condition of a run; return whether it holds.
 
-        :param seconds: timeout; None: the patience.
-        :raises RefusedError: the run is to end before it begins.
+        :param seconds: timeout; None: ``patience``.
+        :raises RefusedError: the run was ended before it began.
         """
         seconds = self.patience if seconds is None else seconds
         await self._node.waiting.until(
@@ -435,7 +435,7 @@ class Runner:
         active.deadline = self._node.monotonic() + allowed
 
     def _stop_action(self, active: _Active) -> None:
-        """Stop the pending action if it takes time; the state that answers ends the run."""
+        """Stop the pending action if it takes time; the resulting state ends the run."""
         if not active.seconds or active.stopped:
             return
         episode, step = active.run.position
@@ -467,7 +467,7 @@ class Runner:
             self._finish(RunStatus.INTERRUPTED, 'the game was reset')
         elif here > position:
             self._on_step(active, observed)
-        else:  # refreshed, before the command arrived
+        else:  # the state was refreshed before the command arrived
             active.run.state = observed.state
 
     def _on_step(self, active: _Active, observed: Observed) -> None:
@@ -514,7 +514,7 @@ class Runner:
         return run.stopped()
 
     def _ending(self, request: RunRequest) -> Ending | None:
-        """Return why a run ends early; None: it does not."""
+        """Return status and details of an early end; None: no early end."""
         newer = self._policy.newer(request)
         canceled = newer is not None and newer.canceled
         return (RunStatus.CANCELED, '') if canceled else request.ending
@@ -535,7 +535,7 @@ class Runner:
         self._finish(*self._ending(active.request) or (status, message.detail))
 
     def _on_progress(self, message: ActionProgress) -> None:
-        """Report the action under way, and keep why the robot does not move."""
+        """Report the action under way, and store why the robot does not move."""
         self._progress = message
         active, at = self._active, (message.episode, message.step)
         if active is not None and message.action and at == active.run.position:
@@ -549,7 +549,7 @@ class Runner:
             self._set_deadline(active)
 
     def _check(self) -> None:
-        """End the run if the game is unresponsive."""
+        """End the run if the game does not respond."""
         active = self._active
         if active is None or self._node.monotonic() <= active.deadline:
             return

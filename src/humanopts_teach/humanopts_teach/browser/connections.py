@@ -1,7 +1,7 @@
 """
 The connections of the page server: unauthenticated ones are cheap and cannot block others.
 
-A connection is a stranger's until the first line of its first request contains the token.
+A connection is a stranger until the first line of its first request contains the token.
 Strangers are limited in number and time, and receive a short response without uvicorn.
 """
 

@@ -39,19 +39,19 @@ _SIZE = 'return [innerWidth, innerHeight]'
 
 
 class AddressError(Exception):
-    """The address of a page contains something that cannot be used; the message says what."""
+    """The address of a page is invalid; the message says why."""
 
 
 @dataclass(frozen=True)
 class Entrance:
     """
-    How people come in.
+    Settings of the sign-in.
 
     :ivar proposed: default code.
-    :ivar language: of the pages, as in ``speaking``, unless the address chooses another.
-    :ivar code: parameter of the address that has the participant's code; empty: none.
-    :ivar columns: parameters of the address to record.
-    :ivar new_code: returns a code to assign; None: codes are not assigned.
+    :ivar language: language of the pages, as in ``speaking``, unless the address has another.
+    :ivar code: URL parameter with the participant's code; empty: none.
+    :ivar columns: URL parameters to record.
+    :ivar new_code: function that returns a code to assign; None: codes are not assigned.
     """
 
     proposed: str = ''
@@ -64,7 +64,7 @@ class Entrance:
         """
         Return the language of a page.
 
-        :raises AddressError: it is unknown.
+        :raises AddressError: the language is unknown.
         """
         given = request.query_params.get('lang', '')
         if given and given not in languages():
@@ -74,9 +74,9 @@ class Entrance:
 
     def columns_of(self, request: Request) -> dict[str, str]:
         """
-        Return the columns in the address of a page.
+        Return the recorded parameters in the address of a page.
 
-        :raises AddressError: the value of one is too long, or not a text.
+        :raises AddressError: a value is too long, or not printable.
         """
         found = {name: request.query_params.get(name, '') for name in self.columns}
         for name, value in found.items():
@@ -92,20 +92,20 @@ class PageWindow(Window):
         """
         Create the elements of the current page.
 
-        :raises AddressError: its address contains something that cannot be used.
+        :raises AddressError: the address of the page is invalid.
         """
         self.language = entrance.language_of(request)
         self._columns = entrance.columns_of(request)
         self._query = f'?{request.url.query}' if request.url.query else ''
         self._press: Press = lambda keys, frame: None
         self._client = ui.context.client
-        self._client.page = copy(self._client.page)  # of this window alone
+        self._client.page = copy(self._client.page)  # for this window only
         self._client.page.language = _quasar_language(self.language)
         ui.add_head_html(head_html())
         self._parts = {name: ui.html('', sanitize=False).classes(name) for name in PARTS}
         self._parts['said'].props('role=status')
         self._heard = ui.html('', sanitize=False).classes('heard').props('role=status')
-        self._view: ScreenView | None = None  # that is shown
+        self._view: ScreenView | None = None  # view that is shown
         self._frame = ui.html('0', sanitize=False).classes('frame')
         ui.on('press', self._on_press)
 
@@ -116,7 +116,7 @@ class PageWindow(Window):
                 self._parts[name].set_content(html)
         self._frame.set_content(str(frame))
         if heard := changes(view, self._view):
-            again = '\N{NO-BREAK SPACE}' * (frame % 2)  # equal texts are announced, too
+            again = '\N{NO-BREAK SPACE}' * (frame % 2)  # so that equal texts are announced, too
             self._heard.set_content(escape(heard) + again)
         self._view = view
 
@@ -212,13 +212,13 @@ def _not_a_code(text: str) -> str:
 
 
 def _refusal(text: str, language: str) -> HTMLResponse:
-    """Return a page with one sentence, for an address that leads nowhere."""
+    """Return a page with one sentence, for an invalid address."""
     with speaking(language):
         return HTMLResponse(short_page(translated(text), spoken()), HTTPStatus.NOT_FOUND)
 
 
 def _quasar_language(language: str) -> Any:
-    """Return the tag of a language in the notation of NiceGUI; English if that has none."""
+    """Return NiceGUI's tag for a language; English if there is none."""
     with speaking(language):
         tag = spoken()
     known = get_args(Language)

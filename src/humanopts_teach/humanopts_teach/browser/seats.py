@@ -25,7 +25,7 @@ _IN_LINE = N_(
 _GAME_BYTES = 350_000_000  # assumed memory of a game, unless a larger game is measured
 _SPARE_BYTES = 1_000_000_000  # memory reserved for other programs; at most a tenth of the total
 _LOOK = 0.5  # s, period of the checks whether another game may start
-Press = Callable[[list[str], int], None]  # keys, and the number of the frame shown when pressed
+Press = Callable[[list[str], int], None]  # keys, and the frame shown when pressed
 
 
 def has_room(available: int, total: int, taken: Sequence[int], games: int) -> bool:
@@ -60,7 +60,7 @@ class Window(Protocol):
         """Open an address of another site."""
 
     async def client(self) -> Mapping[str, Any]:
-        """Return the fields of the event ``client`` of a study; those not known are missing."""
+        """Return the fields of the event ``client`` of a study; unknown ones are missing."""
 
     async def taken(self) -> None:
         """Wait until the page has received the last frame or seems to be disconnected."""
@@ -79,7 +79,7 @@ class Seat:
     The seat of one participant.
 
     :ivar number: number from 1, unique among current games; 0: waiting in line for a game.
-    :ivar language: of its texts, as in ``speaking``.
+    :ivar language: language of its texts, as in ``speaking``.
     :ivar window: window that shows the seat; None: no window is open.
     """
 
@@ -88,7 +88,7 @@ class Seat:
         self.window: Window | None = None
         self.over = asyncio.Event()
         self.farewell = FAREWELL
-        self.url: str | None = None  # to open afterwards; empty: none; None: that of the page
+        self.url: str | None = None  # address to open afterwards; empty: none; None: the page's
         self.head = ('humanopts', domain, participant)
         self._shown = self.message(_STARTING.format(code=participant)), 0
         self._press: Press = lambda keys, frame: None
@@ -130,7 +130,7 @@ class Seat:
         """
         Release the seat immediately.
 
-        :param url: address that Enter opens then; empty: none; None: that of the page.
+        :param url: address that Enter then opens; empty: none; None: the page's.
         """
         self.farewell, self.url = farewell, url
         self.over.set()

@@ -1,4 +1,4 @@
-"""What a screen reader says: the board in words, and what has changed since the last frame."""
+"""Texts for screen readers: the board in words, and the changes since the last frame."""
 
 import re
 
@@ -6,13 +6,13 @@ from humanopts_env.board import Board, Cell
 from humanopts_teach.dialogue.panel import Features, Line, ScreenView
 from humanopts_teach.language import _, in_its_language, N_
 
-_MAX_PLACES = 6  # more are counted
+_MAX_PLACES = 6  # maximum number of listed places; more are counted
 _NUMBER = re.compile(r'\d+')
 _SIDES = {N_('north'): (-1, 0), N_('east'): (0, 1), N_('south'): (1, 0), N_('west'): (0, -1)}
 
 
 def board_words(board: Board) -> str:
-    """Return the board in words: its size, marks, what surrounds the first mark, and notes."""
+    """Return the board in words: its size, marks, walls next to the first mark, and notes."""
     size = _('{rows} rows and {columns} columns, counted from 0 at the top left')
     places = (f'{name}: {where}' for name, where in _places(board).items())
     found = (
@@ -28,8 +28,7 @@ def changes(now: ScreenView, before: ScreenView | None) -> str:
     """
     Return what to announce about a frame; empty: nothing is new.
 
-    These are lines that differ in more than their numbers, and the marks of the board or the
-    features that have changed.
+    These are lines that differ in more than their numbers, and changed marks or features.
     """
     known = _lines(before)
     new = [text for key, text in _lines(now).items() if key not in known]
@@ -52,7 +51,7 @@ def _lines(view: ScreenView | None) -> dict[str, str]:
 
 
 def _moved(before: ScreenView, now: ScreenView) -> list[str]:
-    """Return what a step has changed on the board, or in the table of features."""
+    """Return the changes made by a step on the board or in the table of features."""
     old, new = (_facts(each) for each in (before, now))
     return [' '.join(fact) for fact in new if fact not in old]
 
@@ -66,7 +65,7 @@ def _facts(view: ScreenView) -> list[tuple[str, ...]]:
 
 
 def _places(board: Board) -> dict[str, str]:
-    """Return where the marks of each name are."""
+    """Return the places of the marks by name."""
     by_name: dict[str, list[tuple[str, Cell]]] = {}
     for mark in board.marks:
         by_name.setdefault(mark.name, []).append((mark.kind, mark.cell))
@@ -87,7 +86,7 @@ def _places(board: Board) -> dict[str, str]:
 
 
 def _surroundings(board: Board) -> list[str]:
-    """Return where walls are next to the first mark, which is the agent if it is shown."""
+    """Describe the walls next to the first mark, which is the agent if it is shown."""
     if not board.marks:
         return []
     (row, col), name = board.marks[0].cell, board.marks[0].name

@@ -50,9 +50,9 @@ from humanopts_teach.lesson.requests import (
 
 REPLY_SECONDS = 5.0  # timeout for a node's answer
 SETTLE_SECONDS = 1.0  # timeout for the latched topics to reflect the answer
-EARLIEST = 0.3  # s, minimum display time of what a participant reads or answers
+EARLIEST = 0.3  # s, minimum display time of a text or question before keys count
 MAX_KEYS = 128  # maximum number of queued keys; further keys are dropped
-MAX_TYPED = 1024  # the same while a text is typed; a page sends it all at once
+MAX_TYPED = 1024  # the same during text input; a page sends a whole text at once
 _MAX_FRAMES = 64  # number of recent frames for which keys are accepted
 _EARLY = N_('Please read this first; {key} was ignored.')
 _PAUSED = N_('Not now: the lesson is paused; see the top of the screen.')
@@ -67,9 +67,8 @@ class Screen:
     :cvar hides_features: during a lesson, the board shows only the features the option depends on.
     :cvar claims_lesson: the screen may take over another participant's lesson.
     :cvar takes_text: the person types a text.
-    :cvar earliest: seconds for which the screen must have been displayed before keys count; 0:
-        keys may even be typed ahead of it.
-    :ivar scroll: lines of a long text that are scrolled away in a terminal; None: never.
+    :cvar earliest: minimum display time in s before keys count; 0: keys may be typed ahead.
+    :ivar scroll: number of lines scrolled away in a terminal; None: the screen does not scroll.
     :ivar first_shown: monotonic time in s at which it was first displayed; None: not yet.
     """
 
@@ -92,7 +91,7 @@ class Screen:
         return Panel()
 
     def explain(self, app: 'App') -> str:
-        """Return what the help says besides the keys; empty: nothing."""
+        """Return the explanation that the help shows besides the keys; empty: none."""
         return ''
 
     def commands(self, app: 'App') -> Sequence[Command]:
@@ -177,7 +176,7 @@ class App:
         self.groups = QuestionGroups()
         self.choice_columns: dict[str, tuple[str, ...]] = {}  # of plans, by participant
         self.can_start_again: dict[str, bool] = {}  # latest setting of each option
-        self.times = ''  # digits typed before an action; empty: it is taken once
+        self.times = ''  # digits typed before an action; empty: take it once
         self.ended = False
         self.now = 0.0  # monotonic time of the last ``advance``, s
         self.language = ''  # of its texts, as in ``speaking``
@@ -185,7 +184,7 @@ class App:
         self.leave_hint = N_('Ctrl-C quits')  # advice to the person when nodes are missing
         self._frame = 0  # number of the latest frame
         self._seen: dict[int, _Seen] = {}  # by frame number
-        self._displayed: object = None  # screen of the frame that the person saw last
+        self._displayed: object = None  # screen of the last frame that the person saw
         self._outbox: deque[tuple[Request, Then | None]] = deque()
         self._keys: deque[tuple[str, _Seen]] = deque()  # each with the frame seen when pressed
         self._waiting: _Waiting | None = None
@@ -200,7 +199,7 @@ class App:
         return self.world.domain
 
     def leaving_question(self) -> str:
-        """Return the question to answer before the dialogue is left by the menu; empty: none."""
+        """Return a confirmation question for leaving the dialogue by the menu; empty: none."""
         return ''
 
     @property
@@ -210,7 +209,7 @@ class App:
 
     @property
     def shown(self) -> tuple[object, ...]:
-        """The values that require a new frame when they change, besides the world and keys."""
+        """The values that require a new frame when they change, besides world and keys."""
         missing = tuple(self.world.missing)
         screen, state = self.screen, self.screen.state
         running = self.run, self.run_text, self.waits_for
@@ -238,8 +237,8 @@ class App:
         """
         Take a primitive action on the person's behalf; between episodes, only take control.
 
-        After a typed number it is repeated, until a step is refused. A robot can move between
-        episodes, too: the next one begins where it is.
+        A number typed first repeats the action until a step is refused. A robot can move between
+        episodes, too: the next episode begins at its current state.
         """
         game, shows = self.world.game, self.world.lesson.phase is Phase.DEMONSTRATING
         if self.world.robot and not game.open and not shows:
@@ -279,22 +278,20 @@ class App:
         self.participant, self._displaced, self._owned = participant, displaced, False
 
     def end(self) -> None:
-        """Leave the dialogue. Subclasses override this to continue instead."""
+        """Leave the dialogue. Subclasses may override this to continue."""
         self.ended = True
 
     @in_its_language
     def type(self, keys: Iterable[str], frame: int | None = None) -> None:
         """
-        Queue key presses; Ctrl-C takes effect immediately, and so does Space with a robot.
+        Queue key presses; Ctrl-C, and Space with a robot, take effect immediately.
 
-        While an action of a robot lasts, its key repeats it once, and the key of another action
-        ends it.
+        During an action of a robot, its key queues one repetition, and the key of another action
+        ends it. The current time is that of the last ``advance``.
 
-        The time is that of the last ``advance``.
-
-        :param keys: none: only the frame is reported as displayed.
+        :param keys: pressed keys; none: only report the frame as displayed.
         :param frame: frame on which the keys were pressed; they count only while its screen is
-            shown. None: the latest frame, with typing ahead for later screens allowed.
+            shown. None: the latest frame; typing ahead for later screens is allowed.
         """
         if frame is None:
             seen = self._seen.get(self._frame, _Seen())
@@ -327,7 +324,7 @@ class App:
                 self._keys.append((key, seen))
 
     def stop(self) -> None:
-        """Stop the robot at once, and take control; what was asked for meanwhile is dropped."""
+        """Stop the robot at once and take control; drop queued requests and keys."""
         self._drop()
         if self._lasts is not None:
             self._waiting = None
@@ -335,14 +332,14 @@ class App:
 
     @property
     def _lasts(self) -> Drive | None:
-        """The pending action of a robot, which may take a while; None: there is none."""
+        """The pending action of a robot, which may take a while; None: none."""
         request = self.waits_for
         return (
             request if isinstance(request, Drive) and self.world.longest(request.action) else None
         )
 
     def _action_of(self, key: str) -> str:
-        """Return the action bound to a key; empty: the screen does not drive, or has none."""
+        """Return the action bound to a key; empty: no action, or the screen does not drive."""
         if not self.screen.plays(self):
             return ''
         command = command_of(key, key_table(self.screen.commands(self)))
@@ -366,8 +363,8 @@ class App:
         Process queued requests and keys as far as possible.
 
         :param now: monotonic time in seconds.
-        :return: the next request to make; its answer is passed to ``replied``. An empty ``Drive``
-            stops a robot, whatever is pending, and is not answered.
+        :return: the next request to make; pass its answer to ``replied``. A ``Drive`` without
+            action stops a robot even if another request is pending, and is not answered.
         """
         self.now = now
         if self.screen.first_shown is None and self._displayed is self.screen:
@@ -436,7 +433,7 @@ class App:
         """
         Return the requests that let the machine move.
 
-        Whoever lets a robot move supervises it, and needs to have taken control of it before.
+        A terminal that lets a robot move becomes its supervisor, and must have had control before.
         """
         world = self.world
         takes = world.robot and (world.locked or world.supervisor != world.me)

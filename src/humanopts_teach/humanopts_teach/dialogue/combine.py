@@ -1,4 +1,4 @@
-"""The screen on which a person combines features into a new one, and sees its value at once."""
+"""The screen for combining features into a new one, with an immediate view of its value."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from humanopts_teach.language import _, N_, Number, translated
 from humanopts_teach.lesson.requests import DefineOption
 import numpy as np
 
-# What is typed before, between and after the features that the person chooses.
+# Texts before, between and after the chosen features.
 _KINDS = {
     N_('difference'): ('', ' - ', ''),
     N_('distance'): ('hypot(', ', ', ')'),
@@ -32,20 +32,20 @@ _COMPARED = re.compile(r'(\w+) *[<>=!]=? *$')
 
 
 class _Item(NamedTuple):
-    """A proposal to continue the formula."""
+    """A proposed continuation of the formula."""
 
     text: str
     note: str
-    typed: str  # the formula then
+    typed: str  # resulting formula
     rest: tuple[str, ...]
 
 
 @dataclass
 class CombineScreen(Screen):
     """
-    A formula, typed or put together from a list, with its value in the current state.
+    A formula, typed or assembled from a list, with its value in the current state.
 
-    :ivar rest: what will be typed after each of the next features that are chosen.
+    :ivar rest: texts to insert after each of the next chosen features.
     :ivar at: index of the selected proposal.
     """
 
@@ -120,7 +120,7 @@ class CombineScreen(Screen):
         self.typed, self.rest, self.at = typed, rest, 0
 
     def _formula(self, app: App) -> tuple[str, str]:
-        """Return the name of the feature, and its value and range; or '' and what is missing."""
+        """Return the name of the feature, and its value and range; or '' and a hint."""
         if not self.typed.strip():
             what = _('the first feature') if self.rest else _('how to combine features')
             return '', _('Choose {what}, or type a formula.').format(what=what)
@@ -147,7 +147,7 @@ class CombineScreen(Screen):
         return feature.name, value
 
     def _items(self, app: App) -> list[_Item]:
-        """Return ways to combine features, values to compare with, and features."""
+        """Return proposals: ways to combine features, values to compare with, and features."""
         if not self.typed and not self.rest:
             return [
                 _Item(_(kind), example, pieces[0], pieces[1:])

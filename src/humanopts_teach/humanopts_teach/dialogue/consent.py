@@ -63,6 +63,6 @@ class ConsentApp(App):
 
 
 def page(text: Block, choices: Sequence[Command], earliest: float = 0.0) -> Notice:
-    """Return a screen without a board; keys count after it was displayed ``earliest`` seconds."""
+    """Return a screen without a board; keys count once it was displayed for ``earliest`` s."""
     earliest = max(earliest, EARLIEST)
     return Notice([text], choices, shows_board=False, earliest=earliest, scroll=0)

@@ -29,7 +29,7 @@ from humanopts_teach.lesson.requests import (
 )
 
 EPISODES = 5  # number of episodes to watch
-LEARNING_EPISODES = 20  # of learning while driving
+LEARNING_EPISODES = 20  # number of episodes of learning while driving
 EXECUTIONS = {
     Arbitration.RUN_TO_END: N_('each option runs to its end'),
     Arbitration.INTERRUPTED: N_('an option stops where another is worth more'),
@@ -48,7 +48,7 @@ def pace(app: App) -> list[Command]:
     """
     Return the commands that pause, resume, single-step, slow down and speed up the machine.
 
-    A robot has its own speed; it is stopped instead.
+    There are none for a robot, which has its own speed and is stopped instead.
     """
     if app.run is None or app.world.robot:
         return []
@@ -118,7 +118,7 @@ def control(app: App) -> list[Command]:
 
 
 def robot_lines(app: App) -> Iterator[Line]:
-    """Yield what a robot does now, or why it does not move."""
+    """Yield lines on the robot's current action, or on why it does not move."""
     world, now = app.world, app.world.progress
     if not world.robot:
         return
@@ -239,7 +239,7 @@ Correct = Callable[[str, App], None]
 
 
 def _correction(option_name: str, correct: Correct, app: App) -> Command:
-    """Return the command that takes over a running option, to show what it should do."""
+    """Return the command that takes over a running option to demonstrate a correction."""
     text = _('stop the option, and show from here what it should do')
     here = option_name and (app.world.game.open or app.world.robot)
     return Command('wc', _('correct it'), partial(correct, option_name) if here else None, text)
@@ -283,7 +283,7 @@ class WatchScreen(PlayScreen):
     correct: Correct
     action_set: str
     columns: tuple[str, ...] = ()  # features that the choice between options depends on
-    learning: str = ''  # how it learns while it drives; empty: it plans first
+    learning: str = ''  # learning method while driving; empty: plan first
     execution: Arbitration = Arbitration.RUN_TO_END
 
     def machine(self, app: App) -> list[Command]:
@@ -371,7 +371,7 @@ class WatchScreen(PlayScreen):
     def _play(self, app: App) -> None:
         run = PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
         first: list[Request] = []
-        if self.learning:  # it begins without a plan
+        if self.learning:  # no plan is needed
             first, more = app.release(), LEARNING_EPISODES
             run = replace(run, episodes=more, learning=self.learning, columns=self.columns)
         app.ask(*first, run)

@@ -22,7 +22,7 @@ from humanopts_teach.dialogue.panel import (
 from humanopts_teach.language import _, N_, translated
 
 MAX_CHARACTERS = 60
-SCROLLED = 5  # lines by which a key scrolls
+SCROLLED = 5  # number of lines scrolled per key press
 PAGE = 9  # number of items per page; each has a digit key
 
 
@@ -82,7 +82,7 @@ def confirm(question: str, affirm: Do, back: Do) -> Notice:
 
 
 def quitting(app: App) -> list[Command]:
-    """Return the command that ends the dialogue; in a study there is none but Ctrl-C."""
+    """Return the quit command; none in a study, where only Ctrl-C quits."""
     return [] if app.in_study else [QUIT]
 
 

@@ -27,7 +27,7 @@ from humanopts_teach.dialogue.panel import (
 from humanopts_teach.language import _, N_, Number, translated
 from humanopts_teach.lesson.requests import LessonView, Phase
 
-ADVICE = 2  # most important lines of advice on features
+ADVICE = 2  # maximum number of lines of advice on features
 _EXAM = N_(
     'The criteria are met. Begin a run, from a start drawn at random, and watch it. Say right '
     'after a right run, or wrong as soon as it goes wrong.'
@@ -43,7 +43,7 @@ def question_panel(app: App) -> Panel:
     lesson = app.world.lesson
     text, asked = translated(lesson.question), lesson.question_feature
     group, said = app.groups.asked(app.domain, lesson)
-    # A group counts as one question, so that the number grows by one after each answer about it.
+    # A group counts as one question: the number grows by one after each answer.
     names = [*(feature.name for feature in app.domain.features), *lesson.derived_features]
     groups = {name: each.words for each in feature_groups(app.domain) for name in each.features}
     units = list(dict.fromkeys(groups.get(name, name) for name in names))
@@ -97,7 +97,7 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     below = list[Line]() if progress is None else [*_results(progress)]
     if progress is not None and _is_current(progress, lesson):
         advice = [*_advice(progress, questions, again)]
-        blocks += advice  # at the top, since a small window hides what is at the end
+        blocks += advice  # at the top, since a small window hides the end
         below += _conflicts(progress, not advice, questions, demonstrations)
     elif progress is not None:
         text = _('These results are for your earlier answers: show one more.')
@@ -194,7 +194,7 @@ def _features(app: App) -> Features:
 
 
 def _criteria(progress: OptionSummary) -> Iterator[Block]:
-    """Yield how often the option succeeds, the measured criteria, and how its runs end."""
+    """Yield the rate of success, the measured criteria, and how the runs end."""
     if not progress.settled and progress.reach:
         yield Line(translated(progress.reach), Tone.NEWS)
     if measured := [c for c in progress.criteria if c.value is not None]:
@@ -251,7 +251,7 @@ def _percent(share: float) -> str:
 
 
 def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
-    """Yield whether it is learned, or how many more demonstrations may be needed."""
+    """Yield whether the option is learned, or how many more demonstrations may be needed."""
     measured = progress.n_demonstrations >= MIN_HELD_OUT
     if progress.obstacles and (progress.settled or measured):
         yield Line(translated(progress.obstacles), Tone.QUIET)
@@ -288,7 +288,7 @@ def _results(progress: OptionSummary) -> Iterator[Line]:
 
 
 def _is_current(progress: OptionSummary, lesson: LessonView) -> bool:
-    """Return whether a summary is of the current answers."""
+    """Return whether a summary reflects the current answers."""
     same = progress.method == lesson.method
     return same and set(progress.features) == set(lesson.chosen_features)
 

@@ -44,7 +44,7 @@ class OpeningScreen(TextScreen):
     """
     The first screen, which asks for the participant code.
 
-    :ivar known: accept the proposed code as soon as the lesson is available; the person is asked
+    :ivar known: submit the proposed code as soon as the lesson is available; the person is asked
         only if it is refused.
     """
 
@@ -103,7 +103,7 @@ def _displaced() -> Notice:
 
 
 def _take_over(episode: int, app: App) -> None:
-    """Discard the demonstration another person left, unless it has changed; then sign in."""
+    """Discard another person's unfinished demonstration, unless it has changed; then sign in."""
     lesson = app.world.lesson
     demonstrating = lesson.phase is Phase.DEMONSTRATING and lesson.episode == episode
     if demonstrating and not app.world.holder:
@@ -156,7 +156,7 @@ def to_menu(app: App) -> None:
 
 
 def _finish(app: App) -> None:
-    """Leave the dialogue, after a question if something is unfinished."""
+    """Leave the dialogue; ask for confirmation if something is unfinished."""
     if question := app.leaving_question():
         app.show(replace(confirm(question, end, to_menu), earliest=EARLIEST))
     else:
@@ -175,7 +175,7 @@ def to_run(option_name: str, app: App) -> None:
 
 
 def correct(option_name: str, app: App) -> None:
-    """Take over from an option, and begin a demonstration in the state where it is."""
+    """Take over from a running option, and begin a demonstration in the current state."""
 
     def begin(answer: Answer) -> None:
         app.ask(BeginDemonstration('' if app.world.robot else app.world.game.state))
@@ -207,7 +207,7 @@ def _items(names: Iterable[str], choose: Callable[[str, App], object], app: App)
     for name in names:
         progress, note = app.world.summary_of(app.participant, name), _('nothing learned yet')
         if progress is not None:
-            status = progress.status.partition(',')[0]  # without the limit of the exam
+            status = progress.status.partition(',')[0]  # without the confidence limit
             note = _('{shown} shown, {refused} not here; {status}').format(
                 shown=progress.n_demonstrations,
                 refused=progress.n_not_here,
@@ -296,7 +296,7 @@ def _choose_plan(app: App) -> None:
 
 
 def _watch(action_set: str, learning: str, app: App) -> None:
-    """Show the screen that plans and plays, after asking once what the choice depends on."""
+    """Show the screen that plans and plays; ask once for the columns of the plan first."""
     abstract = isinstance(app.domain, ReplayedDomain) or not can_simulate(app.domain)
     asked = abstract and action_set != PRIMITIVE
     if asked and len(app.known_options) > 1 and app.participant not in app.choice_columns:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from humanopts_env.board import Board
 from humanopts_teach.language import _
 
-OPTION_KEYS = string.digits[1:] + string.ascii_letters  # of ``Options``, in order
+OPTION_KEYS = string.digits[1:] + string.ascii_letters  # keys of ``Options``, in order
 TARGET = 1 / 3  # share of a bar's length that marks the threshold of a criterion
 
 
@@ -31,7 +31,7 @@ class Line:
     text: str
     tone: Tone = Tone.PLAIN
     strong: bool = False
-    more: tuple['Line', ...] = ()  # continuation of the same line, in other tones
+    more: tuple['Line', ...] = ()  # continuation of the line, in other tones
 
 
 GAP = Line('')
@@ -91,7 +91,7 @@ class Features:
 
     @property
     def title(self) -> str:
-        """The words above the features."""
+        """The heading of the features."""
         return _('depends on') if self.chosen else _('features')
 
 
@@ -133,7 +133,7 @@ class Panel:
 
 
 class Key(NamedTuple):
-    """A key with a command."""
+    """A key and its command."""
 
     key: str
     label: str  # empty: shown only as a button

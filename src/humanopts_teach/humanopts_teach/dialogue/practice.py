@@ -1,4 +1,4 @@
-"""The practice of a study: what a button is, *done* and *not here*, in the game itself."""
+"""Practice for a study: buttons, *done* and *not here*, in the game itself."""
 
 from dataclasses import dataclass, field
 from enum import Enum
@@ -10,11 +10,11 @@ from humanopts_teach.dialogue.keys import BACKSPACE, Command, ENTER, ESCAPE
 from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
 from humanopts_teach.language import _, N_
 
-STEPS = 3  # of the button that is practised; it suggests no button of the game
+STEPS = 3  # steps of the practised button
 
 
 class Stage(Enum):
-    """What is practised."""
+    """The current exercise."""
 
     DONE = 'done'
     NOT_HERE = 'not here'
@@ -42,7 +42,7 @@ class PracticeScreen(PlayScreen):
     """One demonstration and one *not here*, with the keys of a lesson; nothing is kept."""
 
     stage: Stage = field(default=Stage.DONE, init=False)
-    _fresh: bool = field(default=False, init=False)  # a new start was asked for
+    _fresh: bool = field(default=False, init=False)  # a new start was requested
 
     def tick(self, app: App) -> None:
         """Begin at a new start."""

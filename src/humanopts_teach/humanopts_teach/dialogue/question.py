@@ -10,9 +10,9 @@ from humanopts_teach.dialogue.panel import Block, Features, GAP, Line, Panel, To
 from humanopts_teach.language import _, translated
 from humanopts_teach.lesson.requests import LessonView
 
-STEP_SECONDS = 0.4  # time for which a state is drawn
+STEP_SECONDS = 0.4  # display time of a state
 END_SECONDS = 1.2  # the same for the first and the last state of a run
-RUN_SECONDS = 6.0  # longer runs are played faster
+RUN_SECONDS = 6.0  # maximum playing time; longer runs are played faster
 
 
 @dataclass
@@ -21,16 +21,16 @@ class RunQuestion:
     The open question about a run, and the state of the run to draw.
 
     :ivar lesson: the lesson with the question.
-    :ivar compares: draw the demonstration that the run is compared with.
+    :ivar compares: draw the compared demonstration instead of the run.
     :ivar step: index into the states of the run.
-    :ivar plays: go to the next state when its time has come.
+    :ivar plays: whether to advance automatically.
     """
 
     lesson: LessonView
     compares: bool = False
     step: int = 0
     plays: bool = True
-    _until: float = 0.0  # s, end of the time of the drawn state; 0: not drawn yet
+    _until: float = 0.0  # s, end of the display of the current state; 0: not drawn yet
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -45,7 +45,7 @@ class RunQuestion:
 
     def tick(self, now: float) -> None:
         """
-        Draw the next state when its time has come; after the run, the demonstration or again.
+        Show the next state when it is due; after the last one, switch or start again.
 
         :param now: monotonic time in seconds.
         """
@@ -61,7 +61,7 @@ class RunQuestion:
         self._until = now + (END_SECONDS if at_end else seconds)
 
     def panel(self, app: App) -> Panel:
-        """Return the question, the length of the run and the features where it begins and ends."""
+        """Return the question, the length of the run, and the features at its start and end."""
         lesson = self.lesson
         runs = [(_('the machine'), lesson.question_states), (_('you'), lesson.question_compared)]
         drawn = [
@@ -91,7 +91,7 @@ class RunQuestion:
         return Panel(blocks)
 
     def commands(self) -> list[Command]:
-        """Return the commands that choose what is drawn."""
+        """Return the commands that control the playback."""
         last = len(self.states) - 1
         if last < 1:
             return []

@@ -31,7 +31,7 @@ class Asked:
     """
     The state of a questionnaire.
 
-    :ivar note: records an answer.
+    :ivar note: callback that records an answer.
     :ivar answers: accepted answers by name; None: skipped.
     """
 
@@ -63,10 +63,10 @@ class Asked:
         if self.at < len(self.questionnaire.items):
             app.show(self.screen())
         else:
-            app.end()  # the part
+            app.end()  # ends the part, not the dialogue
 
     def blocks(self, *answer: Block) -> Panel:
-        """Return the panel of the question, with what the person answers so far."""
+        """Return the panel of the question, with the current answer."""
         note = _('question {number} of {count}').format(
             number=self.at + 1, count=len(self.questionnaire.items)
         )
@@ -76,7 +76,7 @@ class Asked:
         return Panel(lines)
 
     def back(self) -> Do | None:
-        """Return what shows the previous question; None: this is the first one."""
+        """Return a callback that shows the previous question; None: this is the first one."""
 
         def go_back(app: App) -> None:
             self.at -= 1
@@ -86,7 +86,7 @@ class Asked:
 
 
 class _ChoiceQuestion(Screen):
-    """A rating, a choice or several choices: one press chooses, Enter accepts."""
+    """A rating, or a single or multiple choice: one press chooses, Enter accepts."""
 
     shows_board = False
     earliest = EARLIEST
@@ -151,7 +151,7 @@ class _ChoiceQuestion(Screen):
         return lambda app: setattr(self, 'chosen', chosen)
 
     def _digit(self, digit: int) -> Do:
-        """Return what chooses a point; a second digit makes a number of two digits."""
+        """Return a callback that chooses a point; two digits in a row form one number."""
         points = self._asked.questionnaire.points
         longer = 10 * (self._value or 0) + digit
         value = longer if self._value and longer <= points else digit
@@ -176,7 +176,7 @@ class _ChoiceQuestion(Screen):
 
 
 class _TextQuestion(TextScreen):
-    """A text or a number, which is typed; an empty one skips the question if it may be skipped."""
+    """A typed text or number; an empty answer skips the question if that is allowed."""
 
     shows_board = False
     earliest = EARLIEST
@@ -220,7 +220,7 @@ def _number(text: str) -> int | float | None:
 
 
 def _limits(question: Question) -> str:
-    """Return which numbers answer a question."""
+    """Describe the numbers that answer a question."""
     least, most = question.least, question.most
     words = {
         (True, True): _('a number from {least} to {most}'),

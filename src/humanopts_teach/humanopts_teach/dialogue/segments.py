@@ -61,7 +61,7 @@ class SegmentsScreen(Screen):
     :ivar names: option name of each segment; empty: it is left out.
     :ivar at: index of the selected segment.
     :ivar step: step of the play that the board shows.
-    :ivar kept: names of options whose demonstrations are kept.
+    :ivar kept: names of options with kept demonstrations.
     """
 
     menu: Do
@@ -171,7 +171,7 @@ class SegmentsScreen(Screen):
         app.show(confirm(question, self.menu, self.again))
 
     def _keep(self, app: App) -> None:
-        """Make the segments of each option demonstrations, one option after the other."""
+        """Turn the segments of each option into demonstrations, one option after another."""
         found: dict[str, list[Segment]] = {}
         for name, segment in joined(self.segments, self.names):
             found.setdefault(name, []).append(segment)
@@ -202,7 +202,7 @@ class SegmentsScreen(Screen):
 @dataclass
 class KeepScreen(LessonScreen):
     """
-    The questions about an option, with the answers that its segments suggest; then they are kept.
+    The questions about an option, with the answers suggested by its segments, which are then kept.
 
     :ivar accepts: answer all remaining questions as suggested.
     :ivar sent: the segments were sent to the lesson.
@@ -263,5 +263,5 @@ class KeepScreen(LessonScreen):
 
 
 def _ends(segment: Segment) -> str:
-    """Return what changes at the end of a segment, in words."""
+    """Describe the changes at the end of a segment."""
     return ', '.join(map(translated, segment.end))

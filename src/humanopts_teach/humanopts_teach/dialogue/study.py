@@ -37,7 +37,7 @@ from humanopts_teach.study.plan import Part, PartKind
 from humanopts_teach.study.record import OpenRecord
 
 SIGN_SECONDS = 5.0  # period of keep-alive events: maximum time lost in a crash
-WARNING_SECONDS = 60.0  # from the warning that no key was pressed to the end of the part
+WARNING_SECONDS = 60.0  # from the inactivity warning to the end of the part
 _IN_GAME = (PartKind.PLAY, PartKind.BUTTONS, PartKind.TEACH)  # parts in which the task is shown
 
 
@@ -68,7 +68,7 @@ class StudyApp(App):
         self._signed = 0.0  # s, time of the last keep-alive event
         self._taught: tuple[LearnedOption, ...] = ()  # as last recorded
         self._touched = 0.0  # s, time of the last key
-        self._interrupted: Screen | None = None  # by the warning that no key was pressed
+        self._interrupted: Screen | None = None  # screen replaced by the inactivity warning
 
     @in_its_language
     def advance(self, now: float) -> Request | None:
@@ -90,7 +90,7 @@ class StudyApp(App):
         return super().advance(now)
 
     def type(self, keys: Iterable[str], frame: int | None = None) -> None:
-        """Accept keys; the first one after an idle time only brings the screen back."""
+        """Accept keys; the first key after an inactivity warning only restores the screen."""
         keys = list(keys)
         if keys:
             silent, self._touched = self.now - self._touched, self.now
@@ -102,7 +102,7 @@ class StudyApp(App):
         super().type(keys, frame)
 
     def _check_idle(self, now: float) -> None:
-        """Warn a person who has not pressed a key for long; then leave the part."""
+        """Warn an inactive person, and leave the part if no key is pressed."""
         assert self._part is not None
         if self.run is not None:  # the person watches
             self._touched = now
@@ -118,7 +118,7 @@ class StudyApp(App):
             self.show(_idle_screen())
 
     def last_requests(self) -> list[Request]:
-        """Also record that a part was left unfinished."""
+        """Record an unfinished part, and return the requests of the base class."""
         if self._part is not None:
             self._note_taught()
             self.note('part left')
@@ -174,7 +174,7 @@ class StudyApp(App):
         self.show(Screen())
 
     def leaving_question(self) -> str:
-        """Return the question to answer before teaching ends with buttons that are not learned."""
+        """Return a confirmation question for leaving unlearned buttons; empty: none."""
         names = self.given_options or self.known_options
         known = {name: self.world.summary_of(self.code, name) for name in names}
         left = [name for name, each in known.items() if each is None or not each.learned]
@@ -186,7 +186,7 @@ class StudyApp(App):
         own = [each for each in self.world.summaries if each.participant == self.code]
         if self._part is not None and self._part.kind is PartKind.TEACH:
             options = learned(own)
-            if options != self._taught:  # still empty right after a study is resumed
+            if options != self._taught:  # both are empty right after a study is resumed
                 self._taught = options
                 self.note('learned', options=options)
 
@@ -197,7 +197,7 @@ class StudyApp(App):
 
 
 def _time_left(seconds: float) -> str:
-    """Return the remaining time: in the last five minutes minutes, in the last one seconds."""
+    """Return the remaining time: minutes in the last five minutes, seconds in the last minute."""
     if seconds <= 60:
         count = max(math.ceil(seconds), 0)
         return ngettext('{count} second left', '{count} seconds left', count).format(count=count)

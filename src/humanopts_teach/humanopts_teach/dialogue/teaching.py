@@ -49,7 +49,7 @@ from humanopts_teach.lesson.requests import (
     WithdrawDemonstration,
 )
 
-MANY_REFUSED = 5  # starts in a row that are commented on
+MANY_REFUSED = 5  # number of *not here* answers in a row before a comment
 _REFUSED = N_(
     '{count} times not here, one after the other. If it could begin at some of these starts, show '
     'it there; the machine learns little from not here alone.'
@@ -88,9 +88,9 @@ class LessonScreen(Screen):
     automatic: Phase | None = None  # phase in which the next demonstration begins by itself
     rest: bool = False  # answer all remaining questions with no, or as before
     redo: list[str] = field(default_factory=list)  # actions to repeat after an undo
-    changes: list[LessonRequest] = field(default_factory=list)  # when the learner has counted all
+    changes: list[LessonRequest] = field(default_factory=list)  # sent once the learner is done
     counted: int = -1  # demonstrations and "not here" answers after the last change; -1: none
-    refused_starts: int = 0  # number of latest starts in a row that were not here
+    refused_starts: int = 0  # number of consecutive *not here* answers
     ended: int = 0  # episode of the last run in the exam that ended here
     stops: bool = False  # the person stopped that run
     question: RunQuestion | None = None  # the open question about a run
@@ -104,7 +104,7 @@ class LessonScreen(Screen):
         lesson = app.world.lesson
         examines = lesson.exam or self.automatic is Phase.EXAM
         playing = {Phase.DEMONSTRATING, Phase.LEARNING}
-        if app.world.robot:  # it is driven to each start
+        if app.world.robot:  # the person drives it to each start
             playing |= {Phase.READY, Phase.EXAM, Phase.FINISHED}
         return lesson.phase in playing and not examines
 
@@ -387,7 +387,7 @@ class LessonScreen(Screen):
         app.ask(BeginDemonstration(exam=True), *_run(app))
 
     def _verdicts(self, app: App) -> list[Command]:
-        """Return the verdicts on the run of the exam, which can be stopped at any time."""
+        """Return the commands that judge the exam run, which can be stopped at any time."""
         game, robot, idle = app.world.game, app.world.robot, app.run is None
         begun = game.step > 0 and game.episode == app.world.lesson.episode
         ended = idle and self.ended == app.world.lesson.episode
@@ -438,7 +438,7 @@ class LessonScreen(Screen):
         app.resume_machine()
 
     def _go_on(self, phase: Phase | None, app: App) -> None:
-        """Begin by itself in a phase, unless the lesson is paused or the robot is driven first."""
+        """Begin automatically in a phase, except with a robot or while the lesson is paused."""
         self.automatic = None if app.world.lesson.paused or app.world.robot else phase
 
     def run_ended(self, run: ActionGoal, well: bool, app: App) -> None:
@@ -446,7 +446,7 @@ class LessonScreen(Screen):
         self.ended = lesson.episode
         watched = lesson.phase is Phase.DEMONSTRATING and not lesson.exam
         if app.world.robot and watched and well and not app.world.in_control:
-            self._verdict(Verdict.DISCARD, app)  # nothing was shown, and driving on is not either
+            self._verdict(Verdict.DISCARD, app)  # neither it nor later driving is kept
         if self.stops:
             app.message = GAP  # the lesson says what comes next
             if app.world.robot:
@@ -571,7 +571,7 @@ class LessonScreen(Screen):
             app.show(ListScreen(title.format(count=len(shown)), items))
 
     def _watch_new(self, app: App) -> None:
-        """Watch the option from a random start of the task, or the default one without rules."""
+        """Watch the option from a random start; without rules, from the current state."""
         episode, start = app.world.game.episode, ''
         if can_simulate(app.domain):
             rng = generator(app.seed, 'watched start', app.participant, episode)
@@ -615,7 +615,7 @@ class LessonScreen(Screen):
         app.show(ListScreen(' '.join(_in_words(demo)), items, back))
 
     def _delete(self, uuid: str, app: App) -> None:
-        """Return to the lesson; withdraw a demonstration as soon as possible; empty: none."""
+        """Return to the lesson, and withdraw a demonstration when possible (empty uuid: none)."""
         if uuid:
             self._discard(app)
             self.changes, self.counted = [WithdrawDemonstration(uuid)], -1
@@ -684,7 +684,7 @@ def _can_skip(lesson: LessonView) -> bool:
 
 
 def _is_derived(lesson: LessonView) -> bool:
-    """Return whether the question is about a feature of the person, which is always asked."""
+    """Return whether the question is about a derived feature, which is always asked about."""
     return lesson.question_feature in lesson.derived_features
 
 

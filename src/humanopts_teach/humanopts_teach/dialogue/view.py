@@ -17,7 +17,7 @@ from humanopts_teach.lesson.requests import Phase
 _SEEN = N_('the picture shows more than the option sees')
 _NO_PICTURE = N_('No picture: it needs a terminal with colours.')
 EMPTY = N_('nothing that you chose has a place on the board')
-_ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that hide no features
+_ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that show all features
 
 
 @in_its_language
@@ -25,7 +25,7 @@ def view(app: App, *, images: bool = True) -> ScreenView:
     """
     Return the current view.
 
-    :param images: whether images can be shown; False: the screen says that they cannot.
+    :param images: whether images can be shown; False: show a note instead.
     """
     screen, world = app.screen, app.world
     keys = [
@@ -139,7 +139,7 @@ def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
 
 
 def _in_words(board: Board) -> Board:
-    """Return a board with its words in the language spoken."""
+    """Return a board with translated texts."""
     marks = tuple(replace(mark, name=translated(mark.name)) for mark in board.marks)
     notes = tuple(map(translated, board.notes))
     return replace(board, marks=marks, notes=notes, unseen=_(board.unseen))

@@ -1,6 +1,6 @@
 """Starting and stopping the processes of a graph."""
 
-MODULES = {  # of the nodes, in the order in which they start
+MODULES = {  # modules of the nodes, in start order
     'recorder': 'humanopts_teach.ros.recorder',
     'game': 'humanopts_env.ros.game_node',
     'world': 'humanopts_env.ros.world_node',
@@ -20,8 +20,8 @@ USUAL = 'recorder', 'game', 'learner', 'lesson', 'option_server', 'planner'  # n
 
 
 class LaunchError(RuntimeError):
-    """The graph cannot start, or one of its nodes died; the text says which and why."""
+    """The graph cannot start, or one of its nodes died; the text gives the node and the reason."""
 
 
 class OccupiedError(LaunchError):
-    """Another launch runs a node of this one, or writes to its folder; the text names both."""
+    """Another launch already runs a node or uses the folder of this one; the text names both."""

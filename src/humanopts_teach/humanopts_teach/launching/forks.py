@@ -1,8 +1,8 @@
 """
 Nodes as forks of one process that has imported their modules: the fork server of multiprocessing.
 
-These imports take a node about a second of processor time, and a fork a hundredth of that. Each
-fork has an environment, a log and, unless it takes over the terminal, a process group of its own.
+Importing takes about a second of processor time per node, forking a hundredth of that. Each fork
+has its own environment and log and, unless it takes over the terminal, its own process group.
 """
 
 import atexit
@@ -28,25 +28,25 @@ from humanopts_ros.middleware import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError, MODULES, USUAL
 from setproctitle import setproctitle
 
-_SERVES = 'HUMANOPTS_FORK_SERVER_OF'  # pid of the launcher, while it starts the server; domain
-_LOOK_SECONDS = 0.1  # how often the server looks for its launcher while it imports
-_MAX_FOLDER = 60  # characters of the folder of a socket; its path is limited to 107
+_SERVES = 'HUMANOPTS_FORK_SERVER_OF'  # pid of the launcher and domain, while the server starts
+_LOOK_SECONDS = 0.1  # period of checks for the launcher during imports
+_MAX_FOLDER = 60  # maximum length of a socket's folder; that of its path is 107
 _context = multiprocessing.get_context('forkserver')
 
 
 def prepare(domain: str = '') -> None:
     """
-    Start the fork server, which imports in the background.
+    Start the fork server, which imports modules in the background.
 
     :param domain: name of the domain that the nodes will load.
-    :raises LaunchError: it cannot be started, for example without a writable temporary folder.
+    :raises LaunchError: the server cannot start, for example without a writable temporary folder.
     """
     _context.set_forkserver_preload([__name__])
     os.environ[_SERVES] = f'{os.getpid()} {domain}'
     try:
         folder = tempfile.gettempdir()
         if len(folder) > _MAX_FOLDER:
-            tempfile.tempdir = '/tmp'  # for the path of a socket
+            tempfile.tempdir = '/tmp'  # to keep the path of the socket short
         forkserver.ensure_running()
         tempfile.tempdir = folder
     except OSError as error:
@@ -66,15 +66,15 @@ def start(
     """
     Start a process that calls ``main`` of a module and ends with this process.
 
-    :param log: file to which it appends its output.
-    :param terminal: it shares this process's input, output and process group instead; only its
+    :param log: file to append output to.
+    :param terminal: whether to share this process's input, output and process group; then only
         errors go to the log.
     :raises OSError: the machine cannot start another process.
     """
     prepare()
     try:
         os.getcwd()
-    except FileNotFoundError:  # it was removed
+    except FileNotFoundError:  # the folder was removed
         os.chdir('/')
     shared = [Connection(os.dup(standard)) for standard in (0, 1) if terminal]
     group = os.getpgrp() if terminal else 0
@@ -87,7 +87,7 @@ def start(
 
 
 def _serve(domain: str) -> None:
-    """Import the usual nodes and a domain in the fork server, until its launcher is gone."""
+    """Import the usual nodes and a domain in the fork server; exit if its launcher ends."""
     launch = os.getppid()
 
     def look(*_: object) -> None:
@@ -101,16 +101,16 @@ def _serve(domain: str) -> None:
     null = os.open(os.devnull, os.O_RDWR)
     for standard in (0, 1):
         os.dup2(null, standard)
-    setproctitle('humanopts fork server')  # first: a title overwrites the initial environment
+    setproctitle('humanopts fork server')  # first: this overwrites the initial environment
     atexit.register(os._exit, 0)
-    gc.disable()  # imports make no garbage, and take a tenth less time
+    gc.disable()  # imports create no garbage, and are a tenth faster without collection
     for name in USUAL:
         import_module(MODULES[name])
-    import_module('sklearn.tree')  # which learner and lesson need in the first lesson
-    with suppress(Exception):  # the nodes will say what is wrong
+    import_module('sklearn.tree')  # needed by learner and lesson in the first lesson
+    with suppress(Exception):  # the nodes will report the error
         for module in modules_of(domain):
             import_module(module)
-    gc.freeze()  # shared objects are not visited, and their pages not copied
+    gc.freeze()  # exclude shared objects from collection, which would copy their pages
     gc.enable()
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
@@ -125,7 +125,7 @@ def _run(
     group: int,
 ) -> NoReturn:
     """
-    Behave like a new process, in a fork.
+    Run a module in a fork as in a new process.
 
     It ends without finalizing Python, which would copy the shared memory of its modules.
 
@@ -137,7 +137,7 @@ def _run(
     os.environ.update({**environment, LAUNCHER_PID: str(os.getppid())})
     try:
         output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
-    except OSError:  # for example, it was removed and the disk is full
+    except OSError:  # for example, the log was removed and the disk is full
         output = os.open(os.devnull, os.O_WRONLY)
     for standard in (1, 2):
         os.dup2(output, standard)

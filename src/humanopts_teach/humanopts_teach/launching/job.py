@@ -1,10 +1,10 @@
 """
 A launch as a job of the shell: Ctrl-Z suspends it while its nodes continue.
 
-The graph forgets a process that is stopped for long, and its lesson is lost. So the shell waits
-for a process that does nothing else, and Ctrl-Z stops only that one. The launch and the terminal's
-node continue behind it, keep control of the game, and leave the terminal alone until the person is
-back (``terminal.device``).
+The graph drops a process that is stopped for long, and its lesson is lost. Therefore, the shell
+waits for a front process that does nothing else, and Ctrl-Z stops only this one. The launch and
+the terminal's node continue in the background, keep control of the game, and do not use the
+terminal until the person returns (``terminal.device``).
 """
 
 import os
@@ -12,13 +12,13 @@ import signal
 import sys
 
 _FORWARDED = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-_FROM_A_PROCESS = 0  # largest si_code; the launch receives those of the terminal directly
+_FROM_A_PROCESS = 0  # largest si_code to forward; the terminal signals the launch directly
 _front = 0  # process that the shell waits for; 0: this one
 
 
 def fork_launch() -> int | None:
     """
-    Fork; the process that the shell waits for stays here until the launch behind it ends.
+    Fork; the calling process, which the shell waits for, returns when the launch has ended.
 
     Call this before ROS is loaded: a fork does not have the threads of its libraries.
 
@@ -51,7 +51,7 @@ def fork_launch() -> int | None:
 
 
 def shell_job_ended() -> bool:
-    """Return whether the process that the shell waits for was killed."""
+    """Return whether the front process was killed."""
     return _front not in (0, os.getppid())
 
 
@@ -59,9 +59,9 @@ def in_foreground(terminal: int) -> bool:
     """
     Return whether this job has the terminal, rather than the shell or another job.
 
-    :param terminal: its descriptor.
+    :param terminal: file descriptor of the terminal.
     """
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
-    except OSError:  # it is gone
+    except OSError:  # the terminal is gone
         return False

@@ -1,7 +1,7 @@
 """
-Supervises the nodes: starts, watches and stops one process for each, the recorder last.
+Supervision of nodes: starts, watches and stops one process per node, the recorder last.
 
-A node that ends unexpectedly is started again, while the others go on.
+A node that ends unexpectedly is restarted while the others continue.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -37,13 +37,13 @@ import psutil
 
 PARAMETERS = '--params-file'  # before the last word of a node's command line
 TAIL_LINES = 12
-_STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
-_KILL_SECONDS = 1.0  # for the end of a killed node to be seen
+_STOP_SECONDS = 10.0  # time for a node to end before it is killed
+_KILL_SECONDS = 1.0  # maximum wait for a killed node to end
 _STOPPED_PERIOD = 1.0  # s between checks for stopped processes
 _CLEAN_ENDS = (
     0,
-    -signal.SIGTERM,  # before the node had a handler for it
-    -signal.SIGALRM,  # Fast DDS held it up
+    -signal.SIGTERM,  # before the node installed a handler
+    -signal.SIGALRM,  # Fast DDS delayed the exit
 )
 
 
@@ -51,15 +51,15 @@ _CLEAN_ENDS = (
 class _Running:
     spec: ProcessSpec
     process: BaseProcess
-    instance: str  # end of its publisher_id
+    instance: str  # suffix of its publisher_id
     policy: RestartPolicy
-    due: float | None = None  # when to start it again, s; None: it runs, or has ended for good
-    given_up: NodeExit | None = None  # its last end
+    due: float | None = None  # s, time of the restart; None: it runs, or has ended for good
+    given_up: NodeExit | None = None  # its last exit; None: not given up
     stopped: bool = False  # by SIGSTOP
 
     @property
     def runs(self) -> bool:
-        """Whether its process is not known to have ended."""
+        """Whether the process is not known to have ended."""
         return self.due is None and self.given_up is None
 
 
@@ -67,17 +67,17 @@ class Launcher:
     """
     The processes of one launch.
 
-    Each writes to a log of its own in ``log_directory`` and has a process group of its own, so
-    that Ctrl-C reaches only the launcher, which then stops them in order. A node ends with its
-    launcher. ``check`` restarts nodes that end by themselves, other than the terminal's, a limited
-    number of times in a row and after a growing pause.
+    Each process has its own log in ``log_directory`` and its own process group, so that Ctrl-C
+    reaches only the launcher, which then stops the nodes in order. A node ends with its launcher.
+    ``check`` restarts nodes that end unexpectedly, except the terminal's, a limited number of
+    times in a row and with increasing delays.
 
-    :ivar ends: unexpected ends of nodes, in order.
-    :ivar on_start: called with a node's name and the end of its publisher_id before each start of
-        a process, other than the terminal's.
-    :ivar on_end: called with each of ``ends`` and the end of that publisher_id.
-    :ivar wake: called in another thread when ``check`` has something to do.
-    :ivar report: called with a line when a process is stopped, and when it continues.
+    :ivar ends: unexpected exits of nodes, in order.
+    :ivar on_start: callback before each start of a process, except the terminal's, with the node
+        name and the suffix of the publisher_id.
+    :ivar on_end: callback for each of ``ends``, with the suffix of the publisher_id.
+    :ivar wake: callback in another thread when ``check`` has work to do.
+    :ivar report: callback for a line when a process is stopped or continues.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Launcher:
         """
         Create the launcher; nothing starts yet.
 
-        :param restarts: how often in a row a node is started again.
+        :param restarts: maximum number of consecutive restarts of a node.
         """
         self._specs = list(specs)
         self._directory = log_directory
@@ -102,7 +102,7 @@ class Launcher:
         self.on_end: Callable[[NodeExit, str], object] = lambda ended, instance: None
         self.report: Callable[[str], object] = lambda line: None
         self.wake: Callable[[], object] = lambda: None
-        self._checked = 0.0  # when stopped processes were last looked for, s
+        self._checked = 0.0  # s, time of the last check for stopped processes
         self._running: list[_Running] = []
 
     @property
@@ -112,14 +112,14 @@ class Launcher:
         return [f'{prefix}/{running.spec.name}' for running in self._running]
 
     def pid(self, name: str) -> int:
-        """Return the process of a running node."""
+        """Return the process id of a node."""
         return next(e.process.pid or 0 for e in self._running if e.spec.name == name)
 
     def start(self, *, late: bool = False) -> None:
         """
-        Start the processes, other than the terminal's.
+        Start the processes, except the terminal's.
 
-        :param late: start those that wait for the others to be ready, instead of the others.
+        :param late: start only the nodes that wait for the others, instead of the others.
         :raises LaunchError: the log directory cannot be written, or a process cannot be started.
         """
         try:
@@ -137,10 +137,10 @@ class Launcher:
         """
         Run the process that takes over the terminal, and then restore the terminal.
 
-        :param watch: called repeatedly; waits a moment, and may raise to end the process.
-        :return: its exit status.
-        :raises LaunchError: another node ended for good and is needed: without the recorder, the
-            lesson pauses and says so.
+        :param watch: called repeatedly; waits briefly, and may raise to end the process.
+        :return: exit status of the process.
+        :raises LaunchError: a signal ended the process, or another node ended for good, except the
+            recorder: without it, the lesson pauses and says so.
         """
         (spec,) = [spec for spec in self._specs if spec.terminal]
         with _terminal_restored():
@@ -165,11 +165,10 @@ class Launcher:
 
     def check(self, *optional: str) -> None:
         """
-        Check that every process is alive, other than the terminal's, and restart those that ended.
+        Check all processes except the terminal's, and restart those that ended.
 
-        :param optional: nodes without which the others can go on.
-        :raises LaunchError: another node ended for good; the text names it and holds its last
-            lines.
+        :param optional: nodes that the others do not need.
+        :raises LaunchError: another node ended for good; the text has its name and last log lines.
         """
         now = time.monotonic()
         answer()
@@ -180,7 +179,7 @@ class Launcher:
                     running.process = self._process(
                         running.spec, running.instance, self._settings(running.spec)
                     )
-                except OSError as error:  # for one, the machine cannot start another process
+                except OSError as error:  # for example, the machine cannot start another process
                     self._ended(running, 1, f'cannot be started: {error}', now)
                 else:
                     running.policy.begin(time.monotonic())
@@ -194,9 +193,9 @@ class Launcher:
 
     def stop(self) -> list[str]:
         """
-        End every process; the recorder ends last, so that the bag has all last messages.
+        Stop all processes, the recorder last, so that the bag contains all last messages.
 
-        :return: what did not end cleanly, in words.
+        :return: descriptions of the exits that were not clean.
         """
         problems = []
         for last in (False, True):
@@ -220,13 +219,13 @@ class Launcher:
 
     def _settings(self, spec: ProcessSpec, *, new: bool = False) -> Path:
         """
-        Return the file of a node's parameters, which is written whole or stays as it was.
+        Write a node's parameters to a file, completely or not at all, and return its path.
 
-        :param new: of a new launch: it must be written, and the log of an earlier one goes.
-        :raises OSError: it cannot be written.
+        :param new: whether the launch is new: the file must be written, and an old log is deleted.
+        :raises OSError: the file of a new launch cannot be written.
         """
         path = self._directory / f'{spec.name}.yaml'
-        # JSON, as YAML with quoted strings: rcl reads a bare y as true.
+        # JSON is YAML with quoted strings; rcl would read an unquoted y as true.
         tree = {'/**': {'ros__parameters': dict(spec.parameters)}}
         whole = path.with_suffix('.yaml.new')
         try:
@@ -263,9 +262,9 @@ class Launcher:
 
     def _ended(self, running: _Running, status: int, what: str, now: float) -> None:
         """
-        Schedule the restart of a node that ended, and report its end.
+        Schedule the restart of a node that ended, and report the exit.
 
-        :param what: how it ended, in words.
+        :param what: description of the exit.
         """
         name, policy = running.spec.name, running.policy
         running.due = policy.end(now, status)
@@ -284,12 +283,12 @@ class Launcher:
         self.on_end(end, running.instance)
 
     def _check_stopped(self) -> None:
-        """Report which processes are stopped, and which continue."""
+        """Report processes that were stopped or continued."""
         for running in filter(lambda each: each.runs, self._running):
             pid = running.process.pid
             try:
                 stopped = psutil.Process(pid).status() == psutil.STATUS_STOPPED
-            except psutil.Error:  # it ended just now
+            except psutil.Error:  # it has just ended
                 continue
             if stopped != running.stopped:
                 running.stopped = stopped
@@ -297,7 +296,7 @@ class Launcher:
                 self.report(f'the node {running.spec.name} {what}')
 
     def _end(self, running: _Running, deadline: float) -> str:
-        """Wait for a process that was asked to end; return its problem in words, if it has one."""
+        """Wait for a terminated process; return a description of an unclean exit, or ''."""
         name, process = running.spec.name, running.process
         process.join(max(0.0, deadline - time.monotonic()))
         if process.exitcode is not None:
@@ -311,7 +310,7 @@ class Launcher:
         return f'{name} did not stop when asked and was killed'
 
     def _end_of(self, name: str, status: int) -> str:
-        """Return how a process ended that was asked to or had the terminal, in words."""
+        """Describe the exit of a process that was asked to stop or had the terminal."""
         return (
             f'the node {name} ended ({describe_exit(status)}){last_output(self._last_lines(name))}'
         )
@@ -332,15 +331,15 @@ def _new_instance() -> str:
 
 @contextmanager
 def _terminal_restored() -> Iterator[None]:
-    """Undo raw mode, the alternate screen and a hidden cursor, however the node ended."""
+    """Undo raw mode, the alternate screen and a hidden cursor after any exit of the node."""
     before = termios.tcgetattr(sys.stdin) if sys.stdin.isatty() else None
     try:
         yield
     finally:
         if before is not None and in_foreground(sys.stdin.fileno()):
-            with suppress(termios.error):  # it was closed
+            with suppress(termios.error):  # the terminal was closed
                 termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
             if sys.stdout.isatty():
-                # 47, not 1049: the cursor stays below what the node printed at a clean end
+                # 47, not 1049: the cursor stays below the output of a clean exit
                 sys.stdout.write('\x1b[?47l\x1b[?25h\x1b[0m')
                 sys.stdout.flush()

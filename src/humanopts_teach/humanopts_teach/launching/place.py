@@ -1,9 +1,9 @@
 """
-Which launch runs a node: the first one in a ROS_DOMAIN_ID and namespace, and in a folder.
+Reservation of nodes for one launch, in a ROS_DOMAIN_ID and namespace, and in a folder.
 
-A place is the name of a Unix socket in the abstract namespace of Linux. All users of a machine
-share it, whatever their folders; binding is atomic, nothing is on disk, and the kernel frees the
-name with the process.
+A reservation is the name of a Unix socket in the abstract namespace of Linux. All users of a
+machine share it; binding is atomic, nothing is on disk, and the kernel frees the name when the
+process ends.
 """
 
 from collections.abc import Iterable, Iterator
@@ -19,7 +19,7 @@ import struct
 from humanopts_teach.launching import OccupiedError
 
 _CREDENTIALS = struct.Struct('3i')  # of SO_PEERCRED: process, user, group
-_held: dict[bytes, socket.socket] = {}  # by this process
+_held: dict[bytes, socket.socket] = {}  # reserved by this process
 
 
 def domain_id() -> int:
@@ -37,9 +37,9 @@ def _address(where: str, node: str) -> bytes:
 
 def holder(namespace: str, node: str) -> tuple[int, str] | None:
     """
-    Return who has launched a node in a namespace, on this machine.
+    Return the process that has launched a node in a namespace on this machine.
 
-    :return: the process, 0 if it is in another container, and its user; None: none.
+    :return: process id and user; 0: unknown, for example in another container. None: no process.
     """
     return _holder(_address(_graph(namespace), node))
 
@@ -52,7 +52,7 @@ def _holder(address: bytes) -> tuple[int, str] | None:
             found = probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         except ConnectionRefusedError:
             return None
-        except OSError:  # its launcher is stopped, and others have asked before
+        except OSError:  # its launcher is stopped, and earlier requests fill its queue
             return 0, ''
     process, user, _ = _CREDENTIALS.unpack(found)
     with suppress(KeyError):
@@ -67,9 +67,9 @@ def only_launch(
     """
     Reserve nodes in a namespace and in a folder; this process may reserve them repeatedly.
 
-    :param nodes: names without the namespace.
-    :param folder: into which they write; None: any.
-    :raises OccupiedError: others hold some of them; the text names the nodes and the processes.
+    :param nodes: node names without the namespace.
+    :param folder: folder that they write to; None: any.
+    :raises OccupiedError: other processes have reserved some nodes; the text names both.
     """
     with ExitStack() as stack:
         _reserve(_graph(namespace), nodes, '--namespace or ROS_DOMAIN_ID', stack)
@@ -80,7 +80,7 @@ def only_launch(
 
 def _reserve(where: str, nodes: Iterable[str], option: str, stack: ExitStack) -> None:
     taken: dict[tuple[int, str], list[str]] = {}  # nodes, by process and user
-    for node in sorted(nodes):  # of two that come at once, one gets the first that both want
+    for node in sorted(nodes):  # same order for all launches: one gets the first common node
         address = _address(where, node)
         if address in _held:
             continue
@@ -106,7 +106,7 @@ def _reserve(where: str, nodes: Iterable[str], option: str, stack: ExitStack) ->
 
 
 def answer() -> None:
-    """Accept and drop the connections of those who asked for the holder; to be called often."""
+    """Accept and close connections of processes that query the holder; call this often."""
     for own in _held.values():
         with suppress(OSError):
             while True:

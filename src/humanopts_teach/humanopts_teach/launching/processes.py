@@ -1,4 +1,4 @@
-"""The one table of processes: the command line and the ROS launch file both start from it."""
+"""The process table of a launch, shared by the command line and the ROS launch file."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -13,11 +13,11 @@ from humanopts_teach.launching import MODULES, RECORDER
 from pydantic import TypeAdapter
 
 Value = Parameter | list[str]
-_PATIENCE = 5.0  # s that a run waits for the game, in addition to the time of one of its steps
+_PATIENCE = 5.0  # s, maximum wait of a run for the game, in addition to the duration of a step
 
 
 class UnknownNodeError(ValueError):
-    """A launch has no node of this name; the text names it and those there are."""
+    """A launch has no node of this name; the text lists the known names."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ProcessSpec:
 
     @property
     def late(self) -> bool:
-        """Whether it starts when the others are ready."""
+        """Whether it starts after the others are ready."""
         return self.name == 'simulated_teacher'
 
     @property
@@ -46,7 +46,7 @@ class ProcessSpec:
 
 @dataclass(frozen=True)
 class Setup(LaunchOptions):
-    """A launch: the options of the user, and what the command adds to them."""
+    """A launch: the options of the user, and the values added by the command."""
 
     domain: str
     directory: Path  # of demonstrations, options and the bag
@@ -65,11 +65,11 @@ class Setup(LaunchOptions):
     condition: str = ''
     study_parts: str = ''  # of the participant in this launch, JSON
     study_record: str = ''  # file of the participant's events
-    language: str = ''  # of what people read, as in ``speaking``
+    language: str = ''  # of displayed texts, as in ``speaking``
 
     @property
     def bag(self) -> Path:
-        """Path of the first bag; a recorder that starts again writes another beside it."""
+        """Path of the first bag; a restarted recorder writes another one next to it."""
         return self.directory / self.bag_name
 
     @property
@@ -93,7 +93,7 @@ class Setup(LaunchOptions):
 
     @classmethod
     def from_json(cls, text: str) -> 'Setup':
-        """Return the setup of ``to_json``."""
+        """Return the setup from the text of ``to_json``."""
         return TypeAdapter(cls).validate_json(text)
 
 
@@ -130,12 +130,12 @@ def processes(setup: Setup) -> list[ProcessSpec]:
 
 
 def node_names(text: str) -> list[str]:
-    """Return the names in a text that separates them by commas."""
+    """Return the names in a comma-separated text."""
     return [name.strip() for name in text.split(',') if name.strip()]
 
 
 def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
-    """Return the parameters of each node that others do not have."""
+    """Return the parameters that are specific to each node."""
     study: dict[str, Value] = {
         'study_parts': setup.study_parts,
         'study_record': setup.study_record,
@@ -229,7 +229,7 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
 
 
 def common_parameters(setup: Setup) -> dict[str, Value]:
-    """Return what every node knows about the recording; the recorder has other values."""
+    """Return the recording parameters of all nodes; the recorder overrides one."""
     patterns: dict[str, Value] = {
         'record_topics': setup.record_topics,
         'record_exclude': setup.record_exclude,

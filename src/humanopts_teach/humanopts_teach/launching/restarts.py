@@ -1,17 +1,17 @@
-"""When a node that ended is started again, and when it is given up."""
+"""The rules for restarting nodes that ended."""
 
 from dataclasses import dataclass
 import signal
 
-MAX_RESTARTS = 5  # restarts of a node in a row
-STEADY = 10.0  # s of work after which the next end is the first in a row again
-_FIRST_PAUSE = 0.1  # s before the first restart in a row; doubles with each
+MAX_RESTARTS = 5  # maximum number of consecutive restarts of a node
+STEADY = 10.0  # s of operation after which the number of consecutive restarts is reset
+_FIRST_PAUSE = 0.1  # s before the first consecutive restart; doubled for each further one
 CANNOT_START = 2  # exit status of a node with invalid parameters
-_SERVER_GONE = 255  # multiprocessing's, of a process that lost its fork server
+_SERVER_GONE = 255  # exit status in multiprocessing of a process that lost its fork server
 
 
 def describe_exit(status: int) -> str:
-    """Return an exit status in words; -N: signal N."""
+    """Return an exit status in words; -N means signal N."""
     if status == _SERVER_GONE:
         return 'the process that it was forked from was killed'
     return f'by signal {signal.Signals(-status).name}' if status < 0 else f'exit status {status}'
@@ -29,12 +29,12 @@ class NodeExit:
     node: str
     how: str  # "by signal SIGKILL", "exit status 1"
     last_lines: str  # of its log, each after a line break; empty: it wrote nothing
-    restarts: int  # in a row, with the one that follows
-    again: bool  # whether it is started again
+    restarts: int  # number of consecutive restarts, including the next one
+    again: bool  # whether the node is restarted
 
     @property
     def sentence(self) -> str:
-        """What happened, in one line."""
+        """A description of the exit, in one line."""
         what = f'the node {self.node} ended ({self.how})'
         if self.again:
             return f'{what}, and is started again'
@@ -43,35 +43,35 @@ class NodeExit:
 
     @property
     def text(self) -> str:
-        """What happened, and the last lines of the node's log."""
+        """A description of the exit, with the last lines of the node's log."""
         return f'{self.sentence}{last_output(self.last_lines)}'
 
 
 class RestartPolicy:
     """
-    Counts quick ends of a node in a row, and decides when to restart it.
+    Counts consecutive quick exits of a node, and decides when to restart it.
 
-    :ivar restarts: in a row.
+    :ivar restarts: number of consecutive restarts.
     """
 
     def __init__(self, max_restarts: int = MAX_RESTARTS) -> None:
         """
         Create the policy of a node that has not started yet.
 
-        :param max_restarts: restarts in a row.
+        :param max_restarts: maximum number of consecutive restarts.
         """
         self._max_restarts, self._began = max_restarts, 0.0
         self.restarts = 0
 
     def begin(self, now: float) -> None:
-        """Note the time at which the node starts, s."""
+        """Record the time at which the node starts, s."""
         self._began = now
 
     def end(self, now: float, status: int) -> float | None:
         """
-        Note that the node ended; return when to restart it, s; None: never.
+        Record the exit of the node; return the time of its restart, s; None: no restart.
 
-        :param status: its exit status.
+        :param status: exit status of the node.
         """
         if now - self._began >= STEADY:
             self.restarts = 0

@@ -8,8 +8,8 @@ from humanopts_ros.limits import one_line, shown
 from humanopts_teach.text_table import table
 from rich.filesize import decimal
 
-NO_GRAPH = 2  # exit status: there is nothing in this ROS_DOMAIN_ID and namespace
-LITTLE_DISK = 10**9  # bytes left on the disk of the recording below which that is a fault
+NO_GRAPH = 2  # exit status: no nodes in this ROS_DOMAIN_ID and namespace
+LITTLE_DISK = 10**9  # bytes; less space left on the recording's disk is a fault
 _SILENT = 'does not answer'
 
 
@@ -20,8 +20,8 @@ class NodeReport:
     name: str
     state: str = ''  # starting, ready, paused or stopping; empty: none was published
     answer: float | None = None  # response time, s; None: no response
-    served: bool = True  # it answers requests at any time, unlike the conductor
-    text: str = ''  # why it is paused, what it refused, what failed
+    served: bool = True  # whether it always answers requests, unlike the conductor
+    text: str = ''  # reason for a pause, a refusal or a failure
     restarts: int = 0
     stopped: bool = False  # its process is stopped (SIGSTOP)
     pid: int | None = None
@@ -86,7 +86,7 @@ class GraphReport:
     namespace: str
     nodes: Sequence[NodeReport]
     recorder: RecorderReport | None = None  # None: nothing records
-    game: str = ''  # its name
+    game: str = ''  # name of its domain
     episode: int = 0
     step: int = 0
     steps_per_second: float | None = None  # None: no state was received

@@ -1,4 +1,4 @@
-"""Processor time and memory that processes use, and memory that is left."""
+"""Processor time and memory used by processes, and memory available."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,20 +14,20 @@ class Usage:
 
     time: float  # s, of the monotonic clock
     cpu: float  # s of processor time since its start, all threads
-    memory: int  # bytes at present
-    peak: int  # largest number of bytes so far
+    memory: int  # bytes
+    peak: int  # bytes, maximum so far
 
 
 def usage_of(pid: int) -> Usage:
     """
     Return the resources that a process uses.
 
-    :raises psutil.Error: it has ended.
+    :raises psutil.Error: the process has ended.
     """
     process = psutil.Process(pid)
     cpu, memory = process.cpu_times(), process.memory_info().rss
     # psutil has no peak on Linux, and getrusage includes the program that started the process.
-    # The kernel updates both figures late, thread by thread, so its peak may be below the present.
+    # The kernel updates both values late, thread by thread, so its peak may be below current use.
     peak = re.search(r'VmHWM:\s+(\d+)', Path(f'/proc/{pid}/status').read_text('utf-8'))
     if peak is None:
         raise psutil.NoSuchProcess(pid)
@@ -40,10 +40,10 @@ def memory_left(
     """
     Return the bytes of memory that are available to this process, and the total.
 
-    They are those of the machine, or of its container or service, which has limits of its own.
+    They are those of the machine, or of a container or service with its own limits.
 
-    :param groups: where the control groups (version 2) are mounted.
-    :param own: the file that names the group of this process.
+    :param groups: mount point of the control groups (version 2).
+    :param own: file that names the control group of this process.
     """
     memory = psutil.virtual_memory()
     left, total = memory.available, memory.total
@@ -67,7 +67,7 @@ def memory_left(
 
 
 def memory_of_children() -> list[int]:
-    """Return the bytes of each child process with its descendants; shared pages count once."""
+    """Return the memory in bytes of each child process tree; shared pages count once."""
     return [_memory_of_tree(child) for child in psutil.Process().children()]
 
 
@@ -76,4 +76,4 @@ def _memory_of_tree(process: psutil.Process) -> int:
         own = int(process.memory_full_info().pss)
         return own + sum(map(_memory_of_tree, process.children()))
     except psutil.Error:
-        return 0  # it ended just now
+        return 0  # it has just ended

@@ -1,4 +1,4 @@
-"""A teaching session: its questions, records and views, as plain values and rules without ROS."""
+"""The teaching session: its questions, records and views, without ROS."""
 
 from typing import Final
 

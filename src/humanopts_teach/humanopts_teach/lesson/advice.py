@@ -1,4 +1,4 @@
-"""What a lesson says: what to do next, and why."""
+"""Advice of a lesson: the next action, and the reason for it."""
 
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.summary import NOT_MET, OptionSummary
@@ -15,7 +15,7 @@ _HINTS = {
     Phase.CHECKING: 'Answer the question.',
     Phase.EXAM: 'Begin the next run of the exam.',
 }
-_WITHOUT_STARTS = {  # where the person drives to each start
+_WITHOUT_STARTS = {  # for domains in which the person drives to each start
     Phase.READY: 'Drive to where the option can start, then begin.',
     Phase.EXAM: 'Drive to a start that you have not shown, then begin the next run of the exam.',
 }
@@ -31,9 +31,9 @@ def advice(
     """
     Return advice on what to do next, with the reason if it is not obvious.
 
-    :param lesson: the lesson; its text does not matter.
-    :param settled: summary of the option, if its criteria are settled; None: they are not.
-    :param wrong: last run of the option, if the person called it wrong.
+    :param lesson: state of the lesson; its ``text`` is ignored.
+    :param settled: summary of the option if its criteria are settled; otherwise None.
+    :param wrong: last run of the option that the person called wrong; None: none.
     :param stage: as in ``Examination``.
     :param missing: as in ``NextStart``; None: the lesson chooses the starts.
     """

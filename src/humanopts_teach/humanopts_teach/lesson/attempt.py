@@ -22,7 +22,7 @@ EXAM_VERDICTS = Verdict.RIGHT, Verdict.WRONG
 @dataclass(slots=True)
 class Attempt:
     """
-    A demonstration, from the request for its episode on.
+    A demonstration, starting with the request for its episode.
 
     The states of the newest episode are collected from the game's stream, even before the game has
     reported the number of the requested episode.
@@ -31,11 +31,11 @@ class Attempt:
     start_state: str  # in the domain's notation
     watch: bool = False  # the machine may move until the person moves
     exam: bool = False  # only the machine may move, and the person judges its run
-    episode: int = 0  # of the demonstration; 0: no answer from the game yet
+    episode: int = 0  # number of the episode; 0: no answer from the game yet
     began: float = 0.0  # clock time at the start, s
     transitions: list[Transition] = field(default_factory=list)
     gap: str = ''  # description of states missing from the newest episode; empty: none
-    seen: bool = False  # a state of the demonstration has arrived
+    seen: bool = False  # whether a state of the episode has arrived
 
     @property
     def here(self) -> tuple[int, int]:
@@ -68,9 +68,9 @@ class Attempt:
 
     def invalidated_by(self, transition: Transition) -> str:
         """
-        Return why the demonstration cannot continue after one more state; empty: it can.
+        Return why a new state ends the demonstration; empty: it continues.
 
-        States of earlier episodes that arrive before the first of this one are late, not a reset.
+        States of earlier episodes that arrive before the first state of this one are merely late.
         """
         if transition.episode != self.episode:
             other = self.seen or transition.episode > self.episode
@@ -90,9 +90,9 @@ class Attempt:
 
     def check(self, request: EndDemonstration) -> None:
         """
-        Check that a verdict is currently possible.
+        Check whether a verdict is currently possible.
 
-        :raises RefusalError: it is not; the demonstration continues.
+        :raises RefusalError: it is not possible; the demonstration continues.
         """
         verdict, (_, last) = request.verdict, self.here
         possible = EXAM_VERDICTS if self.exam else SHOWN_VERDICTS
@@ -127,10 +127,10 @@ class Attempt:
 
     def shown(self, request: EndDemonstration) -> tuple[list[Transition], int]:
         """
-        Return the steps to record, and the number of leading steps taken by the machine in them.
+        Return the states to record, and the number of leading steps taken by the machine.
 
         "Not here" has no steps. Machine steps that do not count are dropped: the demonstration
-        begins where the person took over. A run in the exam ends where the person has seen it.
+        begins where the person took over. An exam run ends at the last state that the person saw.
         """
         if request.verdict is Verdict.NOT_HERE:
             return self.transitions[:1], 0
@@ -145,10 +145,10 @@ def demonstration_of(
     domain: ActableDomain, shown: Sequence[Transition], **fields: Any
 ) -> Demonstration:
     """
-    Return the demonstration of recorded states, without a uuid.
+    Return recorded states as a demonstration, without a uuid.
 
-    :param shown: the first state and the steps after it; only that: "not here".
-    :param fields: other fields; required are ``option_name``, ``participant`` and ``session``.
+    :param shown: first state, and the steps after it; without steps: "not here".
+    :param fields: other fields; ``option_name``, ``participant`` and ``session`` are required.
     """
     names, steps = tuple(feature.name for feature in domain.features), shown[1:]
     kind = Kind.TRAJECTORY if steps else Kind.NOT_HERE

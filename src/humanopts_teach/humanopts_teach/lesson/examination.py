@@ -1,4 +1,4 @@
-"""What follows when the criteria of an option hold: questions about its runs, then its exam."""
+"""The stages after the criteria of an option are met: questions about its runs, then the exam."""
 
 from collections.abc import Collection
 
@@ -13,7 +13,7 @@ class Examination:
     """
     The stage of the lesson on one option.
 
-    :ivar stage: READY: a demonstration is next; CHECKING; EXAM; or FINISHED.
+    :ivar stage: READY (a demonstration is next), CHECKING, EXAM or FINISHED.
     :ivar check: the open question about a run; None: none is open.
     """
 
@@ -29,10 +29,10 @@ class Examination:
         names: Collection[str],
     ) -> None:
         """
-        Determine the stage after anything has changed.
+        Update the stage after any change.
 
         :param option: option of the lesson; None: none is named.
-        :param summary: its summary, if its criteria are settled; None: they are not.
+        :param summary: summary of the option if its criteria are settled; otherwise None.
         :param names: as in ``SeededStarts.draw``.
         """
         self.stage, self.check = Phase.READY, None
@@ -44,5 +44,5 @@ class Examination:
             self.check = self._starts.check(option, names, every_end=not summary.criteria_met)
             if self.check is not None:
                 self.stage = Phase.CHECKING
-            elif summary.criteria_met:  # and not only if the person called further ends right
+            elif summary.criteria_met:  # settled criteria need not be met
                 self.stage = Phase.FINISHED if summary.exam_passed else Phase.EXAM

@@ -1,12 +1,12 @@
 """
-The verdicts of a simulated examiner, who knows the reference option.
+Verdicts of a simulated examiner who knows the reference option.
 
-A run is right if the reference option can start where it starts, and the run ends in the first
-state, after at least one step, where the reference option ends as meant. Without chance, it also
-takes at most twice the steps of the reference option. With chance, a longer run need not be a
-worse one: at most a quarter of its actions may be other than the best, which on a grid without
-chance makes a run twice as long; and the best actions may lead to an end that is not meant. A run
-of no steps is right where the reference option cannot start either.
+A run is right if the reference option can start in its first state, and the run ends in the first
+state, after at least one step, that is an intended end of the reference option. Without chance,
+it also takes at most twice as many steps as the reference option. With chance, a long run need not
+be wrong: instead, at most a quarter of its actions may be suboptimal, which on a grid without
+chance would double its length; and optimal actions may also lead to an unintended end. A run
+without steps is right where the reference option cannot start.
 """
 
 from typing import Any
@@ -17,15 +17,15 @@ from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
 
-TIMES = 2  # longest right run, relative to that of the reference option
-ERRORS = 0.25  # largest share of other than the best actions, with chance
+TIMES = 2  # maximum length of a right run, relative to the reference option
+ERRORS = 0.25  # maximum share of suboptimal actions, with chance
 
 
 class Examiner:
     """
     Watches one run of an option, step by step.
 
-    :ivar past: whether the run has continued after an end.
+    :ivar past: whether the run continued past an end.
     """
 
     def __init__(self, domain: Domain, reference: ReferenceOption, start: Any) -> None:
@@ -39,9 +39,9 @@ class Examiner:
 
     def see(self, state: Any, action: str = '') -> None:
         """
-        See the next state.
+        Register the next state.
 
-        :param action: the action that led there; empty: unknown.
+        :param action: action that led to it; empty: unknown.
         """
         self.past |= self._ended
         chance, erred = self._limit is None, False
@@ -51,13 +51,13 @@ class Examiner:
             self._errors += erred
         self._last, self._steps = state, self._steps + 1
         self._ended = reached(self._reference, state)
-        if chance and not erred:  # bad luck may lead to another end, or to that of the task
+        if chance and not erred:  # chance may lead to an unintended end, or end the task
             over = self._domain.is_over(state)
             self._ended |= bool(action) if over else self._reference.ends(state)
 
     @property
     def failed(self) -> bool:
-        """Whether the run is wrong, however it may continue."""
+        """Whether the run is wrong, regardless of how it continues."""
         too_long = self._limit is not None and self._steps > self._limit
         return self._steps > 0 and (not self._can_start or self.past or too_long)
 
@@ -70,11 +70,11 @@ class Examiner:
 
     @property
     def can_continue(self) -> bool:
-        """Whether a person can show from here what was wrong with the run."""
+        """Whether the run can be corrected from the current state."""
         return self._can_start and not self.past and self._reference.can_start(self._last)
 
     def _shortest(self) -> int:
-        """Return the number of steps of the reference option, without chance."""
+        """Return the number of steps that the reference option takes, without chance."""
         rng, state, steps = np.random.default_rng(0), self._last, 0  # the generator is unused
         while steps == 0 or not reached(self._reference, state):
             best = self._reference.optimal_actions(state)

@@ -15,11 +15,11 @@ from humanopts_teach.lesson.seeded_starts import SeededStarts
 
 class Feedback:
     """
-    What learner and planner have reported about the options of a participant.
+    Results of learner and planner for the options of a participant.
 
     :ivar awaited: demonstration or judged run that the learner is processing; None: none.
     :ivar trial_games: number of trial games of the newest plan; 0: it was not tried.
-    :ivar offers: states in which that plan got stuck, by the option to be shown there.
+    :ivar offers: states in which that plan got stuck, by the option to demonstrate there.
     :ivar suggested_column: suggested feature column for plans with the options; empty: none.
     """
 
@@ -29,7 +29,7 @@ class Feedback:
         self._history = History(domain, '')
         self._summaries: dict[tuple[str, str], OptionSummary] = {}  # by participant and option
         self._stuck: list[tuple[str, Any]] = []  # options and states in which the plan got stuck
-        self._planned: set[str] = set()  # uuids of the demonstrations before that plan
+        self._planned: set[str] = set()  # uuids of the demonstrations made before that plan
         self.awaited: Demonstration | None = None
         self.trial_games = 0
         self.offers: dict[str, list[Any]] = {}
@@ -78,7 +78,7 @@ class Feedback:
         }
 
     def has_processed(self, option: OptionHistory) -> bool:
-        """Return whether learner and start states include the awaited demonstration, if any."""
+        """Return whether summary and start states include the awaited demonstration, if any."""
         demo = self.awaited
         if demo is None:
             return True
@@ -100,9 +100,9 @@ class Feedback:
 
     def update_option(self, participant: str, option_name: str, text: str) -> bool:
         """
-        Store an option published by the learner; return whether start states depend on it.
+        Store an option published by the learner, and return whether it has changed.
 
-        :raises OptionError: it is not an option, or it belongs to another domain.
+        :raises OptionError: the text is not a valid option, or belongs to another domain.
         """
         changed = self._starts.learned(participant, option_name, text)
         if changed:
@@ -111,13 +111,13 @@ class Feedback:
 
     def update_trial(self, participant: str, games: int, stuck: Iterable[tuple[str, str]]) -> None:
         """
-        Offer the states in which a plan got stuck as start states, instead of earlier ones.
+        Replace the offered start states by those in which a plan got stuck.
 
         :param participant: participant of the plan's options; empty: the only one.
         :param games: number of games played; 0: the plan was not tried.
-        :param stuck: the option that ran, or empty if none could start, and the state, in the
-            domain's notation.
-        :raises StateError: it is not a state.
+        :param stuck: the option that ran (empty: none could start) and the state, in the domain's
+            notation.
+        :raises StateError: a state is invalid.
         """
         is_own = participant in ('', self._history.participant)
         if games and is_own and can_simulate(self._domain):

@@ -14,14 +14,14 @@ class OptionHistory:
     """
     The answers and demonstrations of one option.
 
-    There is one question per feature; if all are answered with no, they are asked again. A derived
-    feature that is added later is asked about in addition.
+    There is one question per feature. If all answers are no, the questions are asked again.
+    A derived feature that is added later gets a question, too.
 
     :ivar answers: answers by feature.
     :ivar earlier: features chosen before the questions were asked again.
-    :ivar method: learning method, requested or of the first demonstration; empty: neither.
+    :ivar method: requested learning method, or that of the first demonstration; empty: neither.
     :ivar demonstrations: demonstrations that were not withdrawn.
-    :ivar judged: runs of the machine that the person judged, without withdrawn verdicts.
+    :ivar judged: judged runs, except those with withdrawn verdicts.
     :ivar judged_number: number of the next judged run.
     :ivar withdrawn: uuids of withdrawn demonstrations.
     :ivar start_states: start states of withdrawn demonstrations, to be demonstrated again.
@@ -69,28 +69,28 @@ class OptionHistory:
 
     @property
     def verdicts(self) -> list[Demonstration]:
-        """The judged runs of the option that is learned from all demonstrations."""
+        """The judged runs of the current version of the option."""
         version = version_of(self.demonstrations)
         return [run for run in self.judged if run.option_version == version]
 
     @property
     def exam_runs(self) -> int:
-        """The number of these runs that are of the exam."""
+        """The number of exam runs among ``verdicts``."""
         return sum(run.exam for run in self.verdicts)
 
     @property
     def n_questions(self) -> int:
-        """The number of questions about runs that were answered."""
+        """The number of answered questions about runs."""
         return sum(not run.exam for run in self.judged)
 
     @property
     def wrong_run(self) -> Demonstration | None:
-        """The last of these runs that the person called wrong; None: none."""
+        """The last run in ``verdicts`` that the person called wrong; None: none."""
         return next((run for run in reversed(self.verdicts) if not run.right), None)
 
     @property
     def correction(self) -> str:
-        """The start of the next demonstration because of that run; empty: none."""
+        """The start state of the demonstration that corrects ``wrong_run``; empty: none."""
         run = self.wrong_run
         if run is None:
             return ''
@@ -134,7 +134,7 @@ class History:
 
     :ivar participant: participant code; empty: no session is open.
     :ivar key: domain name and parameters, as in the entries; entries of other domains are ignored.
-    :ivar sessions: last option of each session; empty: none yet.
+    :ivar sessions: last option by session; empty: none yet.
     :ivar n_answers: number of answers given and withdrawn, about features and runs.
     :ivar features: features asked about: those of the domain, then the participant's derived ones.
     """
@@ -172,7 +172,7 @@ class History:
         if kind == 'session':
             return
         if isinstance(entry, LessonEvent) and kind == 'feature':
-            with suppress(FormulaError):  # of another version of the game: no longer asked about
+            with suppress(FormulaError):  # from another version of the game; not asked about
                 self.features.append(derive(self._domain, entry.feature).feature)
             return
         if kind == 'option deleted':

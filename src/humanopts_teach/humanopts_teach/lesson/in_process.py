@@ -48,7 +48,7 @@ from humanopts_teach.lesson.simulated_teacher import (
 )
 from humanopts_teach.lesson.store import DemonstrationStore
 
-# Assumed duration of a person's actions, s; a simulated teacher takes no time.
+# Assumed durations of a person's actions, s, since a simulated teacher takes no time.
 SECONDS = {
     DefineOption: 5.0,
     AnswerQuestion: 3.0,
@@ -58,8 +58,8 @@ SECONDS = {
     EndDemonstration: 1.0,
 }
 
-# Returns whether an option is taught well enough; called with all of its demonstrations after each
-# new one, from the first trajectory on.
+# Returns whether an option is taught well enough. Called with all of its demonstrations after each
+# new one, starting with the first trajectory.
 Enough = Callable[[Sequence[Demonstration], LearnedOption], bool]
 
 Watcher = Callable[[LessonView, Transition, Sequence[OptionSummary], Act], object]
@@ -76,10 +76,10 @@ class Taught:
     demonstrations: tuple[Demonstration, ...]  # of all options, in order
     options: tuple[LearnedOption, ...]  # final version of each option
     summaries: tuple[OptionSummary, ...]  # of these options
-    judged: tuple[Demonstration, ...]  # runs in the exams, and those that questions were about
+    judged: tuple[Demonstration, ...]  # runs judged in exams and questions
     seconds: float  # estimated duration for a person, by ``SECONDS``
     cut_short: str  # why the teacher gave up; empty: everything was taught
-    acts: Counter[type]  # the person's actions, by type
+    acts: Counter[type]  # number of the teacher's acts, by type
 
 
 def teach(
@@ -96,12 +96,12 @@ def teach(
     Let a simulated teacher teach options, one after another.
 
     :param rules: rules of the lesson; the learner uses the same seed. None: the defaults.
-    :param enough: end of each option, instead of criteria, questions and exam; None: these.
-    :param where_stuck: maximum number of final demonstrations where a plan gets stuck; a plan is
-        made before each of them.
-    :param references: what the teacher means by each option; None: the domain's.
-    :param thresholds: of the criteria and the exam; None: the defaults.
-    :param watch: called before each act, with the state in which the teacher decides on it.
+    :param enough: test that ends the lesson on each option; None: criteria, questions and exam.
+    :param where_stuck: maximum number of final demonstrations in states where a plan gets stuck;
+        each is preceded by a new plan.
+    :param references: reference options by name; None: the domain's.
+    :param thresholds: thresholds of the criteria and the exam; None: the defaults.
+    :param watch: callback before each act, with the state in which the teacher decides on it.
     :raises TeacherError: an option does not exist, or a setting is invalid.
     :raises LessonError: an action of the teacher was refused.
     """
@@ -116,7 +116,7 @@ def teach(
     summaries: dict[str, OptionSummary] = {}  # by option
 
     def learn(demo: Demonstration) -> None:
-        """Relearn or judge the option like the learner, and report to the lesson."""
+        """Relearn or judge the option like the learner node, and report to the lesson."""
         name = demo.option_name
         demos = [each for each in lesson.demonstrations() if each.option_name == name]
         summary = unmeasured(demos)
@@ -138,7 +138,7 @@ def teach(
         lesson.update_summaries(list(summaries.values()))
 
     def take(source: Source, action: str) -> None:
-        """Take a step of the game, which the lesson sees."""
+        """Take a step of the game, and pass its state to the lesson."""
         nonlocal newest
         command = Command('teacher', 0, source, newest.episode, newest.step, action)
         reply = game.command(command)

@@ -2,7 +2,7 @@
 The teaching session as a state machine (paper, sections 5 and 6).
 
 Every method handles one request or event, and leaves the lesson in a valid phase. Answers and
-demonstrations are on disk before a request is answered with OK; a request that cannot be written
+demonstrations are on disk before a request is answered with OK; a request that cannot be saved
 changes nothing.
 """
 
@@ -72,7 +72,7 @@ _SILENT = {
 
 class Lesson:
     """
-    One participant at a time, one option at a time, one demonstration at a time.
+    A lesson with one participant, one option and one demonstration at a time.
 
     :ivar feedback: results of learner and planner.
     """
@@ -102,7 +102,7 @@ class Lesson:
         self._episode = 0  # of the newest demonstration begun
         self._next = NextStart(domain, starts, self.feedback)
         self._notice = ''
-        self._paused = ''  # why nothing new can begin; empty: it can
+        self._paused = ''  # reason for the pause; empty: not paused
 
     # Properties and views.
 
@@ -129,7 +129,7 @@ class Lesson:
 
     @property
     def view(self) -> LessonView:
-        """The data that terminals show."""
+        """The data shown by terminals."""
         facts = self._facts
         return replace(facts, text=' '.join(filter(None, (self._notice, self._advice(facts)))))
 
@@ -199,7 +199,7 @@ class Lesson:
         """
         Carry out a request.
 
-        After ``BeginDemonstration`` is answered with OK, the start state is chosen, and the lesson
+        When ``BeginDemonstration`` is answered with OK, the start state is chosen, and the lesson
         waits for ``began`` or ``not_begun``.
         """
         carry_out: dict[type[LessonRequest], Callable[[Any], Answer]] = {
@@ -253,7 +253,7 @@ class Lesson:
 
     def pause(self, reason: str) -> None:
         """
-        Pause the lesson; a demonstration in progress can still be ended, and is kept.
+        Pause the lesson; a demonstration in progress can still be ended and kept.
 
         :param reason: description of the fault and its remedy; empty: resume.
         """
@@ -288,7 +288,7 @@ class Lesson:
         """
         Resume a session left open by an earlier process.
 
-        The newest demonstration may not have reached the learner.
+        Wait for the learner, since it may not have received the newest demonstration.
         """
         answer = self.carry_out(OpenSession(participant, session))
         if answer.ok:
@@ -314,7 +314,7 @@ class Lesson:
         """
         Store an option published by the learner.
 
-        :raises OptionError: it is not an option, or it belongs to another domain.
+        :raises OptionError: the text is not a valid option, or belongs to another domain.
         """
         if self.feedback.update_option(participant, option_name, text):
             self._check_processed()
@@ -365,7 +365,7 @@ class Lesson:
             self._check_done()
 
     def _check_done(self) -> None:
-        """Check what comes next: a demonstration, a question about a run, the exam or nothing."""
+        """Choose the next stage: a demonstration, a question about a run, the exam or nothing."""
         settled = self.feedback.settled(self._option)
         self._examination.update(self._option, settled, self._book.history.options)
         self._next.look(self._option)
@@ -395,7 +395,7 @@ class Lesson:
         )
 
     def _define_option(self, request: DefineOption) -> Answer:
-        """Name an option to teach, or resume it."""
+        """Name a new option to teach, or resume an existing one."""
         if not self._book.history.participant:
             raise _wrong_phase('open a session first')
         name = composed(request.name.strip())
@@ -427,7 +427,7 @@ class Lesson:
         self._check_done()
 
     def _answer_question(self, request: AnswerQuestion) -> Answer:
-        """Answer the open question, about a feature or a run, or reopen the one before it."""
+        """Answer the open question, about a feature or a run, or reopen the previous one."""
         option = self._option
         if option is None or self._attempt is not None:
             raise _not_asked('no question is open')
@@ -540,7 +540,7 @@ class Lesson:
         return _ok(text, uuid=demo.uuid, unsent=(demo,))
 
     def _add(self, request: AddDemonstrations) -> Answer:
-        """Add demonstrations that were recorded elsewhere, all or none."""
+        """Add demonstrations recorded elsewhere, either all or none."""
         option, phase = self._option, self.phase
         if option is None or phase not in (*_READY, Phase.LEARNING):
             raise _wrong_phase(self._advice(self._facts))
@@ -574,7 +574,7 @@ class Lesson:
         self._write(withdrawn)
         self.feedback.awaited = withdrawn
         self._notice = ''
-        self._next.forget()  # the start state is in the option's history
+        self._next.forget()  # the option's history keeps the start state
         count = len(demo.actions)
         steps = '1 step' if count == 1 else f'{count} steps'
         what = f'the demonstration of {steps}' if count else '"not here"'

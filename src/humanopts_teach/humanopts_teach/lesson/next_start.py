@@ -1,4 +1,4 @@
-"""Where the next demonstration starts, or the next run in the exam."""
+"""Choice of the start state of the next demonstration or exam run."""
 
 from collections import deque
 from collections.abc import Collection
@@ -12,14 +12,14 @@ from humanopts_teach.lesson.requests import BeginDemonstration, RefusalError, Re
 from humanopts_teach.lesson.seeded_starts import SeededStarts
 import numpy as np
 
-MAX_PASSED = 1000  # newest states between demonstrations that are remembered
+MAX_PASSED = 1000  # maximum number of remembered states between demonstrations
 
 
 class NextStart:
     """
-    Chooses the next start; in a domain that can only be acted in, says which one would help.
+    Chooses the next start state, or describes a useful one if the domain cannot be simulated.
 
-    :ivar missing: in such a domain, what no demonstration has shown yet; empty: nothing is known.
+    :ivar missing: description of a situation not demonstrated yet, in such a domain; empty: none.
     """
 
     def __init__(self, domain: ActableDomain, starts: SeededStarts, feedback: Feedback) -> None:
@@ -29,20 +29,20 @@ class NextStart:
         self.forget()
 
     def forget(self) -> None:
-        """Forget a discarded demonstration: it was repeated, or is of another option."""
+        """Forget the start state of a discarded demonstration."""
         self._again, self._repeated = '', 0
 
     def repeat(self, start_state: str) -> None:
-        """Start the next demonstration where one was discarded; chance will differ."""
+        """Repeat the start state of a discarded demonstration, with a different episode seed."""
         self._again, self._repeated = start_state, self._repeated + 1
 
     def drive_past(self, transition: Transition) -> None:
-        """Remember a state between demonstrations; before the first episode there is none."""
+        """Remember a state between demonstrations, if an episode has begun."""
         if transition.episode:
             self._passed.append(transition.features)
 
     def look(self, option: OptionHistory | None) -> None:
-        """Find out what is missing, after the learner has counted everything."""
+        """Update ``missing`` when the learner is up to date."""
         self.missing = ''
         if option is not None and not can_simulate(self._domain):
             rows = np.array(self._passed).reshape(-1, len(self._domain.features))
@@ -55,7 +55,7 @@ class NextStart:
         Return the start state, in the domain's notation, and the seed of the episode.
 
         :param names: as in ``SeededStarts.draw``.
-        :return: an empty state: the current one, in a domain that can only be acted in.
+        :return: an empty state: the current one, in a domain that cannot be simulated.
         :raises RefusalError: nothing can be shown in the requested state.
         """
         seed = self._starts.episode_seed(option, self._repeated, exam=request.exam)

@@ -1,4 +1,4 @@
-"""The open session of a participant: what is on disk, and the history that follows from it."""
+"""The open session of a participant: its entries on disk, and the history built from them."""
 
 from collections.abc import Callable, Sequence
 from itertools import count
@@ -20,14 +20,14 @@ from humanopts_teach.lesson.store import (
     StoreError,
 )
 
-MAX_DERIVED = 100  # derived features of a participant
+MAX_DERIVED = 100  # maximum number of derived features per participant
 
 
 class Notebook:
     """
-    Reads and writes the entries of a lesson; its methods raise RefusalError if they cannot.
+    Reads and writes the entries of a lesson; its methods raise RefusalError on failure.
 
-    :ivar history: of the participant; without participant: no session is open.
+    :ivar history: history of the participant; without participant: no session is open.
     :ivar session: code of the session; empty: none is open.
     """
 
@@ -40,7 +40,7 @@ class Notebook:
         """
         Open a session, or resume it.
 
-        :param session: empty: a new one, numbered by date.
+        :param session: code of the session; empty: a new one, named by date and number.
         :param today: returns the date as YYYYMMDD.
         """
         for what, code in (('participant', participant), ('session', session or 'new')):
@@ -66,7 +66,7 @@ class Notebook:
 
         For a withdrawn demonstration, only the withdrawal is returned.
 
-        :param participants: none: all in the folder.
+        :param participants: participant codes; none: all in the folder.
         """
         return each_once(
             entry
@@ -98,7 +98,7 @@ class Notebook:
         return option
 
     def new_features(self, requested: Sequence[str]) -> list[str]:
-        """Return the names of those derived features that the participant does not have yet."""
+        """Return the names of requested derived features that the participant does not have."""
         found: list[str] = []
         for text in requested:
             try:

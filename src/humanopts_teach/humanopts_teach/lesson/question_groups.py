@@ -1,4 +1,4 @@
-"""Questions about groups of features, so that a person need not answer one per feature."""
+"""Questions about groups of features, which spare the person questions about each feature."""
 
 from enum import Enum
 
@@ -20,8 +20,8 @@ class QuestionGroups:
     Answers about groups of features, for the questions of one option.
 
     The lesson asks about one feature at a time. A screen first asks about ``open_group``, and
-    answers with ``reply`` if the group settles the question. It calls ``withdraw`` and ``forget``
-    when questions are reopened, restarted, or belong to another option.
+    answers with ``reply`` if the group settles the question. It calls ``withdraw`` to reopen a
+    question, and ``forget`` when the questions restart or the option changes.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class QuestionGroups:
     def asked(
         self, domain: ActableDomain, lesson: LessonView
     ) -> tuple[FeatureGroup | None, GroupAnswer | None]:
-        """Return the group of the open question and its answer; None: no group or answer."""
+        """Return the group of the open question, and its answer; None: no group or answer."""
         feature = lesson.question_feature
         group = next((each for each in feature_groups(domain) if feature in each.features), None)
         return group, self._answers.get(group.words) if group is not None else None

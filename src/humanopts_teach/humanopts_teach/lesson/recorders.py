@@ -50,13 +50,13 @@ class Recorders:
 
     def check(self, present: bool, checks: int = 1) -> str:
         """
-        Return the reason why nothing is recorded and what to do; empty: it is recorded.
+        Return why nothing is recorded and what to do; empty: recording works.
 
-        A fault ends once a new recorder has every topic. Without a fault, another recorder causes
-        one for a single check, so that the lesson publishes everything again for it.
+        A fault ends once a recorder has every topic. If there is no fault, a new recorder causes
+        one for a single check, so that the lesson republishes everything for it.
 
         :param present: whether a recorder is on the graph; a killed one remains for a while.
-        :param checks: number of checks that this one replaces.
+        :param checks: number of checks that this call counts as.
         """
         for recorder in self._known.values():
             recorder.checks += checks

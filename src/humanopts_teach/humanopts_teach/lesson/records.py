@@ -1,4 +1,4 @@
-"""What a lesson keeps about an option: demonstrations and judged runs of the machine."""
+"""Records of a lesson on an option: demonstrations and judged runs of the machine."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, 'humanopts:demonstration')
 @dataclass(frozen=True)
 class Records:
     """
-    Makes the demonstrations and judged runs of one option in one session, and checks them.
+    Creates and checks the demonstrations and judged runs of one option in one session.
 
     All methods raise DemonstrationError if the result is not valid.
     """
@@ -34,13 +34,13 @@ class Records:
     domain: ActableDomain
     option: OptionHistory
     session: str
-    method: str  # of learning
+    method: str  # learning method
 
     def ended(self, attempt: Attempt, request: EndDemonstration, seconds: float) -> Demonstration:
         """
         Return a demonstration, or a run in the exam.
 
-        :param seconds: since its beginning.
+        :param seconds: duration of the demonstration or run.
         """
         steps, machine_steps = attempt.shown(request)
         fields = self._fields
@@ -61,7 +61,7 @@ class Records:
         )
 
     def answered(self, check: Check, *, yes: bool) -> Demonstration:
-        """Return the run that a question is about, with its answer."""
+        """Return the run of an answered question as a judged run."""
         return self._checked(
             Demonstration(
                 uuid='',
@@ -79,7 +79,7 @@ class Records:
         )
 
     def added(self, demonstrations: Sequence[Demonstration]) -> tuple[Demonstration, ...]:
-        """Return demonstrations that were recorded elsewhere."""
+        """Return demonstrations recorded elsewhere as those of this option and session."""
         if judged(demonstrations):
             raise DemonstrationError('a judged run is no demonstration')
         numbered = enumerate(demonstrations, self.option.number)
@@ -90,7 +90,7 @@ class Records:
 
     def renamed(self, name: str, number: int) -> Iterator[Demonstration]:
         """
-        Yield copies of everything under another name.
+        Yield copies of all demonstrations and judged runs under another option name.
 
         :param number: number of the first demonstration.
         """
@@ -115,7 +115,7 @@ class Records:
         }
 
     def _judged(self, right: bool) -> dict[str, Any]:
-        """Return the fields that a judged run has in addition."""
+        """Return the additional fields of a judged run."""
         return {
             'kind': Kind.JUDGED,
             'number': self.option.judged_number,

@@ -86,10 +86,10 @@ class OpenSession:
 
 @dataclass(frozen=True, slots=True)
 class DefineOption:
-    """Name an option to teach, or resume it."""
+    """Name a new option to teach, or resume an existing one."""
 
     name: str
-    ask_again: bool = False  # ask the feature questions again
+    ask_again: bool = False  # repeat the feature questions
     method: str = ''  # learning method for future demonstrations; empty: unchanged
     derived_features: tuple[str, ...] = ()  # formulas to add as features of the participant
 
@@ -128,7 +128,7 @@ class EndDemonstration:
 class AddDemonstrations:
     """Add demonstrations of the option that were recorded elsewhere."""
 
-    demonstrations: tuple[Demonstration, ...]  # the lesson numbers them, and sets whose they are
+    demonstrations: tuple[Demonstration, ...]  # the lesson sets number, participant and session
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,21 +228,21 @@ class PlanOptions:
     participant: str
     seed: int
     evaluation_episodes: int = 20  # 0: no evaluation
-    game_steps: int = 0  # to sample; 0: the default
+    game_steps: int = 0  # number to sample; 0: the default
     options_sequence: int = 0  # of the LearnedOption to wait for; 0: none
     columns: tuple[str, ...] = ()  # features that the choice between options depends on
 
 
 @dataclass(frozen=True, slots=True)
 class PlayEpisodes:
-    """Play episodes by the newest plan of an action set, or learn while the machine drives."""
+    """Play episodes with the newest plan of an action set, or learn while the machine drives."""
 
     action_set: str
     participant: str
     episodes: int
     seed: int
     execution: str
-    learning: str = ''  # q: by Q-learning
+    learning: str = ''  # q: Q-learning; empty: play the plan
     columns: tuple[str, ...] = ()  # of learning, as in ``PlanOptions``
 
 
@@ -279,7 +279,7 @@ class Answer:
     detail: str
     session: str = ''  # current session
     known_options: tuple[str, ...] = ()  # of the participant
-    option_names: tuple[str, ...] = ()  # that can be run
+    option_names: tuple[str, ...] = ()  # options that can be run
     resumed: bool = False
     episode: int = 0  # episode begun
     state: str = ''  # first state of the episode, in the domain's notation
@@ -347,22 +347,22 @@ class LessonView:
     episode: int = 0  # of the newest demonstration begun
     machine_steps: int = 0  # number of leading steps taken by the machine
     criteria_met: bool = False
-    learned: bool = False  # criteria and exam passed, for the current answers
+    learned: bool = False  # criteria met and exam passed, for the current answers
     trial_games: int = 0  # played by the newest plan, to find where it gets stuck; 0: none
-    stuck_options: tuple[str, ...] = ()  # to be shown where that plan got stuck
+    stuck_options: tuple[str, ...] = ()  # options to demonstrate where that plan got stuck
     stuck_games: tuple[int, ...] = ()  # number of games for each of them
     suggested_column: str = ''  # feature that the choice between options seems to depend on
-    paused: str = ''  # why nothing new can begin; empty: it can
+    paused: str = ''  # reason for the pause; empty: not paused
     text: str = ''
 
 
-UNKNOWN = LessonView(Phase.NO_SESSION)  # the lesson has not published its state
+UNKNOWN = LessonView(Phase.NO_SESSION)  # before the lesson has published its state
 _NO_GAME = Transition()
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """The action that a robot carries out, as in ActionProgress."""
+    """The action that a robot is carrying out, as in ActionProgress."""
 
     episode: int = 0
     step: int = 0
@@ -370,7 +370,7 @@ class Progress:
     source: int = 0
     seconds: float = 0.0  # since it began
     feedback: str = ''
-    stopped: str = ''  # why the robot does not move; empty: it can
+    stopped: str = ''  # why the robot cannot move; empty: it can
 
 
 _AT_REST = Progress()
@@ -389,8 +389,8 @@ class World:
     execution: str = ''  # of the current or last policy run; empty: none
     progress: Progress = _AT_REST
     holder: str = ''  # publisher_id of the driving terminal; empty: none
-    locked: str = ''  # why nothing may move a robot before a person takes control; empty: it may
-    supervisor: str = ''  # publisher_id of the terminal that lets it move by itself; empty: none
+    locked: str = ''  # why the robot is locked until a person takes control; empty: not locked
+    supervisor: str = ''  # publisher_id of the terminal that supervises the machine; empty: none
     me: str = ''  # our own publisher_id
     step_period: float = 0.0  # minimum time between machine steps, s
     paused_by: str = ''  # publisher_id of the pausing terminal; empty: none
@@ -403,7 +403,7 @@ class World:
 
     @property
     def robot(self) -> bool:
-        """Whether states cannot be chosen, and stopping matters: the rules are unknown."""
+        """Whether it is a robot: states cannot be chosen, since the rules are unknown."""
         return self.domain is not None and not can_simulate(self.domain)
 
     @property
@@ -436,7 +436,7 @@ class World:
         return effect_between(domain, before, game)
 
     def longest(self, action: str) -> float:
-        """Return the longest duration of an action, s; 0: it is taken at once."""
+        """Return the maximum duration of an action, s; 0: it takes no time."""
         actions = self.domain.actions if self.domain is not None else ()
         return next((each.seconds for each in actions if each.name == action), 0.0)
 
@@ -452,7 +452,7 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
 
     The state is published on topics, so it may arrive after the answer of a service.
 
-    :param answer: answer to the request, which was carried out.
+    :param answer: answer to the request, which must have been carried out.
     """
     lesson, game = world.lesson, world.game
     match request:
@@ -469,7 +469,7 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
         case DefineOption(name, derived_features=derived):
             return lesson.option_name == name and {*derived} <= {*lesson.derived_features}
         case AnswerQuestion(question_id):
-            taken_back = not question_id and bool(answer.uuid)  # a verdict: no question opens
+            taken_back = not question_id and bool(answer.uuid)  # of a verdict: opens no question
             learning = lesson.phase is Phase.LEARNING
             return lesson.question_id != question_id or learning or taken_back
         case BeginDemonstration():

@@ -29,7 +29,7 @@ import numpy as np
 
 T = TypeVar('T')
 FAILURES = 'failures'  # the strategy that uses the learned option
-DRAWS, STATES = 5, 200  # draws of a start of the exam, and states in each
+DRAWS, STATES = 5, 200  # maximum draws for the start of an exam run, and states per draw
 MAX_PARSED = 8  # cached option objects, which take far more memory than their text
 
 
@@ -42,7 +42,7 @@ class LessonRules:
     seed: int = 0
     until_no_failures: bool = True  # with ``failures``: continue while the learned option fails
     method: str = METHOD  # default learning method, one of ``METHODS``
-    ask_about_runs: bool = True  # when the criteria hold, before the exam
+    ask_about_runs: bool = True  # once the criteria are met, before the exam
     derive: tuple[str, ...] = ()  # derived features of every participant, as formulas
 
 
@@ -51,9 +51,9 @@ class SeededStarts:
     The start states of one lesson.
 
     A draw depends on the seed, participant, option, number of the demonstration and the learned
-    option. In a replayed domain, it depends on all learned options of the participant, which lead
-    to the start. A demonstration or a run in the exam that is repeated, even after a restart, thus
-    starts in the same state.
+    option. In a replayed domain, it depends on all learned options of the participant, which
+    are run to reach the start. A repeated demonstration or exam run thus starts in the same state,
+    even after a restart.
     """
 
     def __init__(self, domain: ActableDomain, rules: LessonRules) -> None:
@@ -64,14 +64,14 @@ class SeededStarts:
         self._replayed = isinstance(domain, ReplayedDomain)
         # Key of the sample for the next start state, the sample, and its generator.
         self._ahead: tuple[Any, Sample | None, np.random.Generator] | None = None
-        self._known: dict[str, tuple[Any, Any]] = {}  # newest results that are slow, with keys
+        self._known: dict[str, tuple[Any, Any]] = {}  # newest slow results, with keys
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
         """
         Store an option published by the learner.
 
         :return: whether it has changed.
-        :raises OptionError: it is not an option, or it belongs to another domain.
+        :raises OptionError: the text is not a valid option, or belongs to another domain.
         """
         key = participant, option_name
         if self._texts.get(key) == text:
@@ -81,7 +81,7 @@ class SeededStarts:
         return True
 
     def options(self, participant: str, names: Collection[str]) -> list[LearnedOption]:
-        """Return those of a participant's options that are learned; none unless replayed."""
+        """Return the learned options of a participant; none unless the domain is replayed."""
         texts = [self._texts.get((participant, name)) for name in names if self._replayed]
         return [self._parse(text) for text in texts if text is not None]
 
@@ -122,9 +122,9 @@ class SeededStarts:
 
     def episode_seed(self, option: OptionHistory, repeated: int, *, exam: bool = False) -> int:
         """
-        Return the seed of the next demonstration's episode, or of the next run's in the exam.
+        Return the episode seed of the next demonstration or exam run.
 
-        :param repeated: number of times that the demonstration was repeated; chance then differs.
+        :param repeated: number of repetitions of the demonstration; each has another seed.
         """
         if exam:
             return int(self._exam_generator('exam episode', option).integers(2**63))
@@ -135,11 +135,12 @@ class SeededStarts:
         """
         Return the start state of the next run in the exam, in the domain's notation.
 
-        It is drawn as the task draws it, and not chosen, from where the option can start. If no
-        such state comes, it is the start of a demonstration.
+        It is drawn from the starts of the task where the option can start. If none is found, it is
+        the start of a demonstration.
 
         :param names: as in ``draw``.
-        :return: empty: the current state, in a domain that cannot be simulated.
+        :return: empty: the current state, if the domain cannot be simulated or the option is not
+            learned.
         """
         domain, learned = self._domain, self._option(option)
         if not can_simulate(domain) or learned is None:
@@ -162,7 +163,7 @@ class SeededStarts:
         self, option: OptionHistory, names: Collection[str] = (), *, every_end: bool = False
     ) -> Check | None:
         """
-        Return the next question about a run of the option; None: there is no more.
+        Return the next question about a run of the option; None: no more questions.
 
         :param names: as in ``draw``.
         :param every_end: as in ``next_check``.
@@ -180,7 +181,7 @@ class SeededStarts:
         return self._once('check', find, [each.uuid for each in evidence], learned, others)
 
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
-        """Return whether the next draw includes a demonstration or its withdrawal."""
+        """Return whether the next draw takes a demonstration or its withdrawal into account."""
         if not option.n_trajectories or demonstration.kind is Kind.JUDGED:
             return True
         learned = self._option(option)
@@ -189,7 +190,7 @@ class SeededStarts:
         return (demonstration.uuid in learned.uuids) != demonstration.withdrawn
 
     def exhausted(self, option: OptionHistory, names: Collection[str] = ()) -> bool:
-        """Return whether the strategy has no more questions, given that the criteria are met."""
+        """Return whether the strategy has no failing start left, if the criteria are met."""
         learned = self._option(option)
         asks_failures = self.rules.until_no_failures and self.rules.strategy == FAILURES
         if not asks_failures or learned is None or not option.demonstrations:
@@ -206,7 +207,7 @@ class SeededStarts:
 
     def missing(self, option: OptionHistory, passed: Rows) -> str:
         """
-        Return what no demonstration has shown yet, in words; empty: nothing is known.
+        Describe a situation that no demonstration has shown yet; empty: none was found.
 
         :param passed: (N, F) features of states between demonstrations.
         """
@@ -228,7 +229,7 @@ class SeededStarts:
         learned: LearnedOption,
         others: Sequence[LearnedOption],
     ) -> T:
-        """Return what was found in the same state of the lesson before, or find it."""
+        """Return the cached result for the same state of the lesson, or compute it."""
         key = state, learned.participant, learned.name, *(o.uuids for o in (learned, *others))
         if what not in self._known or self._known[what][0] != key:
             self._known[what] = key, find()

@@ -10,13 +10,13 @@ Assumptions and simplifications:
 - Before each step, it errs with probability ``error_rate``: it takes a uniformly random action
   among those that are not optimal. It does not undo the error, but continues.
 - It answers questions about runs, and judges runs in the exam, by the reference option
-  (``Examiner``). It watches step by step, stops a run that has gone wrong, and makes no errors.
+  (``Examiner``). It watches step by step, stops a run that has gone wrong, and is always correct.
 - It says "not here" exactly where the reference option cannot start, and "done" in the first state
   after at least one step in which the reference option ends. These verdicts are always correct.
 - A demonstration is discarded and repeated if an error ended it, if no optimal action is left, or
-  if it exceeds ``step_limit``. After ``attempts`` failures in a row, since its rule may not reach
-  the end from everywhere, the teacher begins at a start of the task instead, and gives up after
-  ``ELSEWHERE`` of them.
+  if it exceeds ``step_limit``. Since the reference option may not reach its end from everywhere,
+  the teacher begins at a start of the task after ``attempts`` failures in a row, and gives up
+  after ``ELSEWHERE`` such starts.
 
 Every draw is keyed by seed, participant, option, number of the demonstration, attempt and step, so
 the same seed gives the same demonstrations, regardless of other events on the graph.
@@ -47,7 +47,7 @@ from humanopts_teach.lesson.requests import (
 import numpy as np
 
 FINISHED = 'finished'  # status text of its node after everything is taught
-ELSEWHERE = 3  # other start states in a row
+ELSEWHERE = 3  # maximum number of other start states in a row
 
 
 class TeacherError(RuntimeError):
@@ -66,7 +66,7 @@ class TeacherSettings:
     own_habits: bool = False  # use a random preference among actions
     where_stuck: bool = False  # finally, show options where a plan got stuck
     step_limit: int = 1000  # maximum number of steps per demonstration
-    attempts: int = 10  # discarded demonstrations in a row from one start state
+    attempts: int = 10  # maximum number of discarded demonstrations in a row from one start
     seed: int = 0
 
 
@@ -102,7 +102,7 @@ class SimulatedTeacher:
         """
         Prepare to teach.
 
-        :param references: what the teacher means by each option; None: the domain's.
+        :param references: reference options by name; None: the domain's.
         :raises TeacherError: no options, an option without a reference, or an invalid setting.
         """
         self._domain, self._settings = domain, settings
@@ -123,10 +123,10 @@ class SimulatedTeacher:
         self._finished: set[str] = set()
         self._tried = ('', 0)  # option and number of the current demonstration
         self._attempt = 0  # number of times it was discarded
-        self._elsewhere = ''  # start state instead of the lesson's; empty: the lesson's
+        self._elsewhere = ''  # other start state; empty: the lesson's
         self._erred = False  # whether the last step was an error
         self._exam: Examiner | None = None  # of the current run in an exam
-        self._seen = (0, 0)  # episode and step that it has seen
+        self._seen = (0, 0)  # last episode and step seen
         self._order: list[int] | None = None  # preferred actions first
         if settings.own_habits:
             habits = self._generator('habits').permutation(len(domain.actions))
@@ -137,8 +137,8 @@ class SimulatedTeacher:
         Return the next action; call once per action carried out.
 
         :param game: newest state of the game; episode 0: not received yet.
-        :param running: whether the option that it ran is still running.
-        :raises TeacherError: it cannot demonstrate the option from the start state.
+        :param running: whether the option that the teacher runs is still running.
+        :raises TeacherError: the teacher cannot demonstrate the option from the start state.
         """
         act = self._wanted(lesson, game, running)
         if lesson.paused and isinstance(
@@ -252,7 +252,7 @@ class SimulatedTeacher:
         return Drive(self._domain.actions[action].name, *here)
 
     def _reference(self, lesson: LessonView, start: str) -> ReferenceOption:
-        """Return what the option means in a run from a start state."""
+        """Return the reference option for a run from a start state."""
         reference = self._references[lesson.option_name]
         if isinstance(reference, StartDependent):
             return reference.begun(self._domain.decode(start))

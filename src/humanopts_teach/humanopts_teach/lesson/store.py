@@ -27,7 +27,7 @@ VERSION = 1  # of the line format
 OPEN_SESSION = 'open_session.json'
 _SUFFIX = '.jsonl'
 _LOCK = '.lock'
-CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')  # of participants, used as file names, and of sessions
+CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')  # participants (also file names) and sessions
 CODE_RULE = 'letters, digits, - and _, at most 60 of them'
 
 
@@ -72,9 +72,9 @@ def entry_to_line(entry: Entry) -> str:
 
 def entry_from_line(line: str) -> Entry:
     """
-    Read what ``entry_to_line`` wrote.
+    Return the entry written by ``entry_to_line``.
 
-    :raises EntryError: it is not JSON, has another version, or a field is missing or invalid.
+    :raises EntryError: the line is not JSON, has another version, or a field is invalid or absent.
     """
     try:
         values = parse_json(line)
@@ -176,7 +176,7 @@ def _entry_of(participant: str, line: str) -> Entry:
     """
     Return the entry in a line.
 
-    :raises EntryError: it is not an entry, or it belongs to another participant.
+    :raises EntryError: the line is not an entry, or belongs to another participant.
     """
     entry = entry_from_line(line)
     if entry.participant != participant:
@@ -215,7 +215,7 @@ class OpenSessionFile:
             if values['parent'] == self._parent:
                 return str(values['participant']), str(values['session'])
         except (FileError, JsonError, LookupError, TypeError):
-            pass  # no such file, or not ours
+            pass  # no such file, or written by another launch
         return None
 
     def keep(self, participant: str, session: str) -> None:

@@ -50,9 +50,9 @@ class Conductor(NodeBase):
     """
     Supervises a launched graph from the command line's thread.
 
-    It tracks the state of every node, and plans and plays by a ``GraphClient``. Every wait has a
-    deadline and calls ``watch`` about twenty times per second, which checks the processes and
-    shows progress.
+    It tracks the state of every node, and plans and plays through a ``GraphClient``. Every wait
+    has a deadline; about twenty times per second it calls ``watch``, which checks the processes
+    and shows progress.
 
     :ivar client: client of the graph.
     :ivar state: latest state of the game; None: not received yet.
@@ -90,7 +90,7 @@ class Conductor(NodeBase):
         self.feedback: Any = None
         self._record, self._bag = bool(parameters['expect_recorder']), bag
         self._watch = watch
-        self._unpaused_at = time.monotonic()  # s, last time, or end of a grace period
+        self._unpaused_at = time.monotonic()  # s, last time unpaused, or end of a grace period
         self._statuses = self.peers.statuses
         self.create_subscription(
             msg.RecorderStatus, 'recorder_status', partial(setattr, self, 'recorder'), CURRENT
@@ -121,7 +121,7 @@ class Conductor(NodeBase):
 
         :param seconds: maximum wait for ``done`` or for the next change of ``progress``.
         :param what: awaited event; completes "gave up waiting for ...".
-        :param progress: function whose result changes while work continues.
+        :param progress: function with a result that changes while work continues.
         :raises LaunchError: a process died, a node cannot continue, or the wait timed out.
         """
         deadline = time.monotonic() + seconds
@@ -151,7 +151,7 @@ class Conductor(NodeBase):
         """
         nodes = [name.rpartition('/')[2] for name in names]
         self._awaited.update(nodes)
-        said = ''  # what the world of a robot waits for: a person may have to start the robot
+        said = ''  # what a robot's world waits for; a person may have to start the robot
 
         def progress() -> list[str]:
             nonlocal said
@@ -242,8 +242,8 @@ class Conductor(NodeBase):
                         report(f'{self.full_name(name)} goes on')
 
     def wake(self) -> None:
-        """End a wait of ``take``; thread-safe."""
-        with suppress(InvalidHandle):  # it may just have been shut down
+        """End the wait in ``take``; thread-safe."""
+        with suppress(InvalidHandle):  # the executor may have just been shut down
             self._executor.wake()
 
     def take(self, seconds: float) -> None:
@@ -302,7 +302,7 @@ class Conductor(NodeBase):
 
     def retry(self, work: Callable[[], T]) -> T:
         """
-        Do work, and repeat it if it fails because a node is restarted.
+        Do work, and repeat it if it fails because a node was restarted.
 
         :param work: function that raises a LaunchError on failure.
         :raises LaunchError: the work failed without a restart, or a node cannot be restarted.

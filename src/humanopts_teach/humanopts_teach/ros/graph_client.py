@@ -59,7 +59,7 @@ _RENEWAL = 0.5  # s between heartbeats while this node holds control
 
 
 class ClientError(RuntimeError):
-    """The graph did not do what was requested; the message gives the reason."""
+    """The graph did not carry out a request; the message gives the reason."""
 
 
 class RefusedError(ClientError):
@@ -94,7 +94,7 @@ class Goal:
         """
         Send the goal; the server must be matched, or the goal is lost.
 
-        :param rejection: returns the answer if it is rejected.
+        :param rejection: function that returns the answer if the goal is rejected.
         """
         self.accepted, self.result, self._rejection = Future(), Future(), rejection
         self._handle: Any = None
@@ -109,7 +109,7 @@ class Goal:
         return response
 
     def lose(self) -> None:
-        """Answer what is pending, because the server was restarted."""
+        """Resolve the pending futures, because the server was restarted."""
         for future, lost in (self.accepted, _LOST), (self.result, None):
             if not future.done():
                 future.set_result(lost)
@@ -146,7 +146,7 @@ class GraphClient:
         """
         Create the clients, publishers and subscriptions on a node.
 
-        :param endpoints: by type of request; a client without ``Drive`` does not follow the steps
+        :param endpoints: by request type; a client without ``Drive`` does not follow the steps
             of the game.
         :param patience: maximum wait for an answer or a change, s.
         :param on_change: callback invoked when the published state has changed.
@@ -279,7 +279,7 @@ class GraphClient:
         self, condition: Callable[[], bool], what: str, seconds: float | None = None
     ) -> None:
         """
-        Wait for a condition; it is checked at every change.
+        Wait for a condition, which is checked at every change.
 
         :param what: description of the awaited event.
         :param seconds: maximum wait; None: the client's patience.
@@ -293,8 +293,8 @@ class GraphClient:
         """
         Return whether a receiver is matched; a request sent earlier would be lost.
 
-        A goal also waits until a restarted server is ready: one sent earlier is answered as lost,
-        but the server may go on with it.
+        For a goal, a restarted server must also be ready: an earlier goal is answered as lost, but
+        the server may still carry it out.
 
         :param kind: type of request.
         """
@@ -353,7 +353,7 @@ class GraphClient:
         message = self._endpoints[type(goal)].request.encode(goal)
         if isinstance(goal, RunOption):
             message.episode, message.step = self.world.game.episode, self.world.game.step
-            if self.learning is not None and self.world.lesson.exam:  # run what is examined
+            if self.learning is not None and self.world.lesson.exam:  # run the examined version
                 message.options_sequence = self.learning.options_sequence
 
         def rejection() -> Answer:
@@ -374,7 +374,7 @@ class GraphClient:
         return what
 
     def _place(self) -> tuple[object, ...]:
-        """Return a key that changes if a request may have been lost: restarts and the session."""
+        """Return a key of restarts and session; if it changes, a request may have been lost."""
         restarts, lesson = self._node.peers.restarts, self.world.lesson
         return (
             restarts[self.game_topics.name],
@@ -389,7 +389,7 @@ class GraphClient:
         for served_by, goal in self._goals:
             if served_by == role:
                 goal.lose()
-        # Last: a waiting coroutine may go on, and send a goal to the restarted node.
+        # Do this last: a waiting coroutine may continue, and send a goal to the restarted node.
         self._answer(lambda request, _: server(type(request)) == role, _LOST)
 
     def _on_domain(self, domain: ActableDomain) -> None:
@@ -418,7 +418,7 @@ class GraphClient:
         self.world.update_game(game)
 
         def has_left(request: ServiceRequest | Drive, sequence: int) -> bool:
-            """Ignore the end of an earlier action, which this one has cut short."""
+            """Return whether an action has ended, not counting one that it cut short."""
             here = game.episode, game.step
             earlier = game.action_sequence < sequence
             if not isinstance(request, Drive) or (self._is_mine(game) and earlier):

@@ -155,7 +155,7 @@ def _processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
     holders = {name: who[0] for name in MODULES if (who := holder(namespace, name)) is not None}
     found: dict[str, psutil.Process | None] = dict.fromkeys(holders)
     for number in sorted(set(holders.values())):
-        with suppress(psutil.Error, ValueError):  # it just ended, or is in another container
+        with suppress(psutil.Error, ValueError):  # it has just ended, or is in another container
             launcher = psutil.Process(number)
             for process in launcher.children(recursive=True):
                 with suppress(psutil.Error):
@@ -273,7 +273,7 @@ class _Probe:
                         'memory': process.memory_info().rss,
                         'threads': process.num_threads(),
                     }
-            except psutil.Error:  # it just ended
+            except psutil.Error:  # it has just ended
                 pass
         return NodeReport(
             name,

@@ -28,8 +28,8 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 from sensor_msgs.msg import Joy
 
-_PATIENCE = 5.0  # s that a command waits for its answer, in addition to the time of its action
-_LONG = 1.0  # s; another control ends an action that takes longer, and acts at once
+_PATIENCE = 5.0  # s, timeout for an answer to a command, in addition to the duration of its action
+_LONG = 1.0  # s; a new control interrupts an action that has more time left
 _BEGINS = Phase.READY, Phase.CHECKING, Phase.EXAM, Phase.FINISHED
 _VERDICTS = {
     Deed.DONE: Verdict.DONE,
@@ -60,13 +60,13 @@ class JoyTeleopNode(NodeBase):
             self, {**TEACHING, RunOption: ACTIONS[RunOption]}, on_change=self._on_world
         )
         self._seconds: dict[str, float] = {}  # duration of each action
-        self._next = ''  # action of a control that was pressed while another action lasts
+        self._next = ''  # action of a newly pressed control, not sent yet
         self._sent: Future | None = None  # answer to the last command
         self._give_up_at = self._repeat_at = 0.0
         self._run: Goal | None = None  # run of the exam begun here
-        self._busy = False  # a request is being carried out
-        self._deed = Deed.STOP  # that request
-        self._pressed: tuple[Deed, ...] = ()  # of the button pressed meanwhile
+        self._busy = False  # a deed is being carried out
+        self._deed = Deed.STOP  # deed in progress or carried out last
+        self._pressed: tuple[Deed, ...] = ()  # deeds of a button pressed in the meantime
         group = ReentrantCallbackGroup()
         self._work = self.create_timer(0.0, self._carry_out, callback_group=group, autostart=False)
         self._fault = self._said = ''
@@ -80,11 +80,11 @@ class JoyTeleopNode(NodeBase):
         return None if self._pad and self._client.is_ready(Drive) else 'domain_info'
 
     def on_ready(self) -> None:
-        """Report a gamepad that is missing."""
+        """Start the timer that reports a missing gamepad."""
         self._silent.reset()
 
     def close(self) -> None:
-        """Stop what the person drives."""
+        """Stop the person's action in progress."""
         if self._sent is not None and not self._sent.done():
             self._stop()
 
@@ -137,7 +137,7 @@ class JoyTeleopNode(NodeBase):
         )
 
     def _on_fault(self, text: str) -> None:
-        """Stop, and do nothing until the gamepad works and its dead-man button was released."""
+        """Stop, and do nothing until the gamepad works and its dead-man button is released."""
         assert self._pad is not None, 'called when the world is known'
         world = self._client.world
         in_charge = self.publisher_id in (world.holder, world.supervisor)
@@ -195,7 +195,7 @@ class JoyTeleopNode(NodeBase):
             self.get_logger().warning(text)
 
     def _applies(self, deed: Deed) -> bool:
-        """Return whether the lesson and the world allow something now."""
+        """Return whether the lesson and the world currently allow a deed."""
         world = self._client.world
         phase, shows = world.lesson.phase, world.lesson.phase is Phase.DEMONSTRATING
         match deed:
@@ -215,7 +215,7 @@ class JoyTeleopNode(NodeBase):
                 return True
 
     def _press(self, deeds: tuple[Deed, ...]) -> None:
-        """Begin what a button asks for, if it is possible, or when the last request is done."""
+        """Start the first possible deed of a button; during another one, queue the button."""
         if Deed.STOP in deeds:
             self._stop()
         if self._busy:
@@ -228,7 +228,7 @@ class JoyTeleopNode(NodeBase):
             self._say(f'{deeds[0]}: not now (the lesson: {phase})')
 
     async def _carry_out(self) -> None:
-        """Carry out what a button asks for; a refusal is logged."""
+        """Carry out the current deed; log a refusal."""
         self._work.cancel()
         deed = self._deed
         try:
@@ -261,14 +261,14 @@ class JoyTeleopNode(NodeBase):
             await self.waiting.until(sent.done, _PATIENCE)
 
     def _requests(self, deed: Deed) -> list[ServiceRequest]:
-        """Return the requests that carry out what a button asks for."""
+        """Return the requests that carry out a deed."""
         world = self._client.world
         lesson, game = world.lesson, world.game
         runs = self._run is not None and not self._run.result.done()
         match deed:
             case Deed.BEGIN if lesson.phase is Phase.EXAM:
                 takes = world.robot and (world.locked or world.supervisor != world.me)
-                take = [SetControl(hold=True)] if takes else []  # only then it can be given
+                take = [SetControl(hold=True)] if takes else []  # required before release
                 return [BeginDemonstration(exam=True), *take, SetControl(hold=False)]
             case Deed.BEGIN:
                 return [BeginDemonstration()]

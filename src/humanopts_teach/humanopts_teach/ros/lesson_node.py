@@ -297,7 +297,7 @@ class LessonNode(NodeBase):
         self._check_each(1)
 
     def _check_each(self, ticks: int) -> None:
-        """Check what is pending every few ticks from now on."""
+        """Check pending work every ``ticks`` ticks from now on."""
         self._ticks, self._timer.timer_period_ns = ticks, int(ticks * _TICK * 1e9)
         self._timer.reset()
 

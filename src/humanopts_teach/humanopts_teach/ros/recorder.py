@@ -108,11 +108,10 @@ class Recorder(NodeBase):
     """
     Records the graph of its namespace, including service events and actions, and selected topics.
 
-    From the topics shared by all nodes (log, parameter events), only messages of its own graph are
-    recorded.
+    On topics shared by all nodes (log, parameter events), it records only messages of this graph.
 
-    If the bag can no longer be written, it reports this on ``recorder_status`` and continues to
-    take messages, so that publishers are not blocked.
+    If the bag can no longer be written, the recorder reports this on ``recorder_status`` and
+    continues to take messages, so that publishers are not blocked.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -141,7 +140,7 @@ class Recorder(NodeBase):
         self._topics: list[tuple[str, list[str]]] = []  # at the last count
         self._unflushed = False  # whether a new topic may not be on disk yet
         self._behind = False
-        self._published: tuple[object, ...] = ()  # the significant part of the last status
+        self._published: tuple[object, ...] = ()  # significant part of the last status
         self._published_at = 0.0
         self._publisher = self.stamped_publisher(RecorderStatus, 'recorder_status', LATCHED)
         self._timer = self.create_timer(_PERIOD, self._on_timer)
@@ -151,7 +150,7 @@ class Recorder(NodeBase):
         return self._stopped or (None if self._complete else 'the publishers on the graph')
 
     def on_ready(self) -> None:
-        """Log where the bag is."""
+        """Log the path of the bag."""
         self.get_logger().info(f'records to {self._bag.path}')
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
@@ -275,9 +274,9 @@ class Recorder(NodeBase):
 
     def _record(self, batch: list[Taken], held: float = _HELD) -> None:
         """
-        Record messages; on topics shared by all nodes, only those of the own nodes.
+        Record messages; on topics shared by all nodes, only those from nodes of this graph.
 
-        :param held: time in s to hold the latter until their node is discovered.
+        :param held: time in s to hold messages of shared topics until their nodes are discovered.
         """
         due, now = list[Taken](), time.monotonic()
         for taken in batch:

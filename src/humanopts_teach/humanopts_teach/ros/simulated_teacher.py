@@ -47,7 +47,7 @@ _ENDED = (
     OptionResult.STATUS_EPISODE_OVER,
     OptionResult.STATUS_MAX_STEPS,
 )
-_LOST_RUNS = 10  # consecutive runs in the exam that did not end by themselves
+_LOST_RUNS = 10  # maximum number of consecutive exam runs that do not end by themselves
 _REFUSALS = 3  # consecutive refusals before giving up; an unresponsive game gets more time
 
 
@@ -119,7 +119,7 @@ class SimulatedTeacherNode(NodeBase):
         cause, refused, answered = '', 0, self.monotonic()
         lesson = self._client.world.lesson
         try:
-            if lesson.phase is Phase.DEMONSTRATING:  # by an earlier teacher
+            if lesson.phase is Phase.DEMONSTRATING:  # left by an earlier teacher
                 with suppress(RefusedError):  # it has ended meanwhile
                     await self._client.ask(EndDemonstration(Verdict.DISCARD, lesson.episode, 0))
             while not isinstance(act := await self._next_act(), Finish):
@@ -149,7 +149,7 @@ class SimulatedTeacherNode(NodeBase):
         """
         Carry out an act; while a run is watched, the machine is paused and takes single steps.
 
-        :raises RefusedError: it was not carried out.
+        :raises RefusedError: the act was not carried out.
         :raises ClientError: there was no answer.
         """
         client, run = self._client, self._run
@@ -178,9 +178,9 @@ class SimulatedTeacherNode(NodeBase):
 
     def _is_lost(self, run: Goal) -> bool:
         """
-        Return whether a run ended for another reason than its option.
+        Return whether a run ended for a reason other than its option.
 
-        :raises TeacherError: several runs did so, one after another.
+        :raises TeacherError: too many consecutive runs did so.
         """
         result = run.result.result() if run.result.done() else None
         lost = run.result.done() and (result is None or result.status not in _ENDED)

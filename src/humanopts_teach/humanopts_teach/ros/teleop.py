@@ -43,7 +43,7 @@ from rclpy.task import Future
 POLL_SECONDS = 0.015  # polling period for input and pending work
 _FINISH_SECONDS = 1.0  # timeout for the last requests
 _FRAME_SECONDS = 0.03  # minimum time between frames
-_SETTLING_SECONDS = 0.1  # maximum delay of a frame for the answer to the last request
+_SETTLING_SECONDS = 0.1  # maximum delay of a frame while an answer is pending
 _PRESENCE_SECONDS = 0.5  # period of presence checks
 _START_SECONDS = 5.0  # time before an absent node is reported missing
 _NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # topics that prove presence
@@ -78,7 +78,7 @@ class TeleopNode(NodeBase):
         self._unsent: Request | None = None  # request waiting for its server
         self._started = self._checked = time.monotonic()
         self._drawn = self._asked = 0.0
-        self._redraw = True  # changes since the last frame
+        self._redraw = True  # whether anything has changed since the last frame
         self._seen: object = None  # contents of the last frame
         self.last_answers: list[Future] | None = None  # pending last answers; None: not ending
         self._finish_by = 0.0
@@ -152,7 +152,7 @@ class TeleopNode(NodeBase):
     def _send(self, request: Request | None) -> None:
         """Send the pending request, or hold it until its server is available."""
         if isinstance(request, Drive) and not request.action:
-            self._client.send(request)  # whatever is pending: the robot stops
+            self._client.send(request)  # stops the robot, even if a request is pending
             return
         self._unsent = None
         if request is None or request is not self.app.waits_for:

@@ -84,11 +84,11 @@ class ViewsNode(NodeBase):
         return None if self._game.domain else 'domain_info'
 
     def _place_board(self) -> None:
-        """Publish where the board lies, if asked and possible."""
+        """Publish the transform of the board, if configured and possible."""
         if not self._parent:
             return
         try:
-            from tf2_msgs.msg import TFMessage  # not among the wheels
+            from tf2_msgs.msg import TFMessage  # not available as a wheel
         except ImportError:
             self.get_logger().warning(
                 'no transform is published: install tf2_msgs (ros-jazzy-tf2-msgs)'

@@ -27,13 +27,13 @@ from rich.text import Text
 
 SMALLEST = (70, 20)  # columns, rows
 _WIDE_BESIDE = 50  # minimum columns next to the board to place the whole panel there
-_GAP = 3  # columns between the board and what is beside it
+_GAP = 3  # columns between the board and the panel
 _READABLE = 90  # columns; longer lines of text are harder to read
 _ROOMY = 24  # rows; taller screens have a gap below the header
 _LONG_NAME = 30  # columns; longer names of features, which are formulas, are not aligned
 _LONG_LIST = 12  # options; longer lists have several columns
 _UPPER_HALF = '▀'  # its foreground is the upper of two pixels, its background the lower one
-_COLOUR_BITS = 0xF8  # of each colour of a pixel, so that neighbours are often equal
+_COLOUR_BITS = 0xF8  # of each colour channel, so that neighbouring pixels are often equal
 Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
 KEY = f'bold {TEAL}'  # style of key labels
 STYLES = {
@@ -94,7 +94,7 @@ def framed(
     """
     Return ``height`` lines: top and middle, truncated if too long, and the foot below them.
 
-    :param middle: returns the middle for a number of rows, which an image fills.
+    :param middle: function that returns the middle for a number of rows, which an image fills.
     :param scroll: number of lines of the middle that are scrolled away; None: it does not scroll.
     """
     upper, lower = (_lines_of(Group(*part), width, colours) for part in (top, foot))
@@ -196,10 +196,10 @@ def board_texts(
 
 class HalfBlocks:
     """
-    An image as lines of half blocks, as large as fits.
+    An image as lines of half blocks, at the largest size that fits.
 
-    A character shows two pixels, one above the other; as it is about twice as high as wide, they
-    are square. The colour of a pixel is the mean of its area.
+    A character shows two pixels, one above the other. As it is about twice as high as wide, the
+    pixels are square. The colour of a pixel is the mean of its area.
 
     :ivar width: columns.
     """
