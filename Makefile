@@ -1,4 +1,4 @@
-# make demo and make test do the set-up that they need; the second time they skip it.
+# make demo and make test do the necessary set-up, and skip it the next time.
 PYTHON ?= python3
 VENV := .venv
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/humanopts
@@ -26,14 +26,14 @@ WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
 # Four processes, each with one test file at a time: some compute while others wait for graphs.
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \
   -n 4 --dist loadfile --no-loadscope-reorder
-# Tests that compute with the oldest packages; make test-floor only imports everything else.
+# Tests to run with the oldest packages; make test-floor only imports everything else.
 FLOOR := src/humanopts_env src/humanopts_learner $(foreach name,evaluation export study_tables table1, \
   $(wildcard src/humanopts_teach/test/test_$(name)*.py))
 COMPILE := build/lock/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
   --no-emit-index-url --no-header --quiet
 SHELL := /bin/bash
 
-# Drop the variables of another ROS that the shell has sourced, and the user's settings of colcon.
+# Drop the variables of another ROS that the shell has sourced, and the user's colcon settings.
 unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
 unexport $(shell cat src/humanopts_ros/humanopts_ros/foreign_variables.txt)
 export COLCON_HOME := $(CURDIR)/build/colcon
@@ -77,7 +77,7 @@ $(VENV)/.locked: requirements.lock $(VENV)/.build-locked
 	$(STEP) 'Installing the packages needed to run' tools/install_packages.sh $(VENV) $<
 	@touch $@
 
-# Additional packages of tests, checks and documentation.
+# Additional packages for tests, checks and documentation.
 $(VENV)/.test-locked: requirements-test.lock $(VENV)/.locked
 	$(STEP) 'Installing the packages of the tests' tools/install_packages.sh $(VENV) $<
 	@touch $@
@@ -92,7 +92,7 @@ build/.interfaces: $(VENV)/.build-locked $(INTERFACES) $(BUILD_INTERFACES)
 	$(STEP) 'Building the ROS interfaces' tools/build_interfaces.sh $(VENV) src/humanopts_interfaces install
 	@touch $@
 
-# The types of messages, for mypy: a misspelt field is an error.
+# Type stubs of the messages, so that mypy reports misspelt fields.
 build/.stubs: build/.interfaces tools/make_stubs.py
 	@$(VENV)/bin/python tools/make_stubs.py build/stubs $(VENV)/share src
 	@touch $@
@@ -101,7 +101,7 @@ build/.packages: build/.interfaces $(VENV)/.locked $(PACKAGES) tools/build_packa
 	$(STEP) 'Building the Python packages' tools/build_packages.sh $(VENV)
 	@touch $@
 
-# The simulated robots of the examples, with interfaces of their own.
+# The simulated robots of the examples, with their own interfaces.
 .SECONDEXPANSION:
 build/robots/.interfaces-%: $$(shell find examples/$$* -type f) $(VENV)/.build-locked $(BUILD_INTERFACES)
 	$(STEP) 'Building $*' tools/build_interfaces.sh $(VENV) examples/$* build/robots
@@ -111,13 +111,13 @@ build/robots/.built: $(ROBOT_INTERFACES:%=build/robots/.interfaces-%) $(ROBOTS) 
 	$(STEP) 'Building the simulated robots' tools/build_robots.sh $(VENV)
 	@touch $@
 
-# While the interfaces are built, a third of which takes one core.
+# Runs while the interfaces are built; a third of that build uses only one core.
 $(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py
 	$(STEP) 'Compiling the modules that the packages import' $(SHELL) -c \
 	  '$(WITH_ROS); $(VENV)/bin/python tools/compile_imports.py'
 	@touch $@
 
-# What tests and checks need. setuptools loads installed packages, so the packages are built last.
+# Prerequisites of tests and checks. setuptools loads installed packages, so ours are built last.
 checked:
 	@$(TWO_STEPS) $(VENV)/.test-locked build/.stubs
 	@$(TWO_STEPS) build/.packages build/robots/.built
@@ -140,12 +140,12 @@ test: checked $(VENV)/.compiled
 test-quick: checked
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not live and not heavy' $(or $(ARGS),src)
 
-# A copy of this repository, with ROS 2 Kilted in place of Jazzy.
+# Test a copy of this repository with ROS 2 Kilted in place of Jazzy.
 test-kilted:
 	@$(PYTHON) tools/kilted.py build/kilted
 	@$(MAKE) --no-print-directory -C build/kilted test ARGS='$(or $(ARGS),tests)'
 
-# Leave out tests that take long and compute little.
+# Leave out tests that take long but compute little.
 test-floor: checked build/floor/.locked
 	@$(WITH_ROS); export PYTHONPATH=$(CURDIR)/build/floor:$$PYTHONPATH; \
 	  $(VENV)/bin/python tools/check_floor.py requirements-floor.lock && \

@@ -1,17 +1,17 @@
-"""What all tests share: Hypothesis has no deadlines; collecting looks for no garbage."""
+"""Settings of all tests: no Hypothesis deadlines, no garbage collection before the first test."""
 
 import gc
 
 from hypothesis import settings
 
-# Examples take what time they need, as on a busy machine.
+# No deadline for examples, since the machine may be busy.
 settings.register_profile('humanopts', deadline=None)
-settings.register_profile('few', deadline=None, max_examples=20)  # of make test-floor
+settings.register_profile('few', deadline=None, max_examples=20)  # for make test-floor
 settings.load_profile('humanopts')
 gc.disable()
 
 
 def pytest_collection_finish() -> None:
-    """Leave what was imported out of each search for garbage, of which every graph makes one."""
+    """Exclude imported objects from garbage collection, which every graph triggers."""
     gc.freeze()
     gc.enable()

@@ -1,8 +1,8 @@
 """
-The yardstick of the graph: a node that answers immediately, with rclpy alone.
+The yardstick for the graph: a node that answers immediately, with rclpy alone.
 
 It receives the same messages as game and option_server, on separate topics below ``bare``, and
-answers with messages of the same size. It has no rules, no counters and no recording.
+answers with messages of the same size. It has no rules and no counters, and records nothing.
 """
 
 import sys
@@ -42,7 +42,7 @@ class BenchPeer(NodeBase):
         self.destroy_subscription(self._sample)
 
     def close(self) -> None:
-        """Destroy the action server, which the node does not do by itself."""
+        """Destroy the action server, since the node does not do so itself."""
         self._server.destroy()
 
     def _keep(self, message: GameState) -> None:

@@ -1,4 +1,4 @@
-"""The yardstick of the recorder: takes raw messages in the same way, and writes nothing."""
+"""The yardstick for the recorder: it takes raw messages in the same way, but writes nothing."""
 
 import json
 from pathlib import Path
@@ -29,7 +29,7 @@ class BenchReader(NodeBase):
         self.create_timer(_TAKE_PERIOD, self._take)
 
     def close(self) -> None:
-        """Write the number of messages and the longest waiting time, s."""
+        """Write the number of messages and their longest waiting time, s."""
         while self._take():
             time.sleep(_TAKE_PERIOD)
         found = {'taken': self._taken, 'waited': self._waited / 1e9}

@@ -12,8 +12,8 @@ import psutil
 import typer
 
 COLUMNS = 'min,median,iqr,ops,rounds'
-LARGEST, QUICK = 100, 10  # sides of the largest grid
-PROCESS_BYTES, STATE_BYTES = 2**30, 600  # of this process, plus bytes per state
+LARGEST, QUICK = 100, 10  # side of the largest grid
+PROCESS_BYTES, STATE_BYTES = 2**30, 600  # bytes of this process, and bytes per state
 INTERRUPTED, STOPPED = 130, 2  # exit statuses of this command and of pytest
 app = typer.Typer(**PLAIN)
 

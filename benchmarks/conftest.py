@@ -1,4 +1,4 @@
-"""The sizes and counts of benchmarks."""
+"""Options, grid sizes and printed counts of the benchmarks."""
 
 from typing import Any
 

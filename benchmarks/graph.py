@@ -32,7 +32,7 @@ ROUNDS = 200
 
 @pytest.fixture(scope='module')
 def game(request: pytest.FixtureRequest) -> Iterator['Game']:
-    """Launch some nodes and the bare peer; one node alone reads the states."""
+    """Launch nodes and the bare peer; only option_server or this process reads the states."""
     with own_place() as folder:
         setup = Setup('taxi', folder, teach=False, record=False)
         shown = demonstrations(Taxi())
@@ -141,7 +141,7 @@ def bench_run(benchmark: Any, game: Game, via: str, length: int) -> None:
         else:
             action = ActionClient(client.node, ExecuteOption, prefix + via)
             stack.callback(action.destroy)
-            time.sleep(RESULT_TIMEOUT)  # results that are kept slow down each status of a goal
+            time.sleep(RESULT_TIMEOUT)  # until then, kept results slow down goal statuses
             client.until(action.server_is_ready, via)
 
         def run() -> Any:

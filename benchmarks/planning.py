@@ -1,10 +1,10 @@
 """
-Planning time by size of the world: Taxi grids, solved with several solvers.
+Planning time by grid size: Taxi with several solvers.
 
-With the paper's rewards a legal pickup costs nothing, so on large grids the best policy never
+With the paper's rewards, a legal pickup costs nothing. On large grids the best policy thus never
 delivers: far from the destination it picks up and puts down forever, at half the cost of driving.
-Here a pickup costs 1 like every other step, so the best policy delivers from every state, and the
-two options of the paper lose nothing.
+Here a pickup costs 1 like every other step, so the best policy delivers from every state, and
+planning with the two options of the paper loses nothing.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ from scipy.sparse import csr_matrix
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 GAMMA, TOLERANCE, MAX_SWEEPS = 0.99, 1e-6, 100_000
 REPEATED = 100  # largest side for repetitions and for quantecon
-SWEEPS = 10  # per round of single sweeps
+SWEEPS = 10  # sweeps per round
 SWEEP_BYTES = 6 * (4 + 8) + 8 + 8  # per state: 6 successors and rewards, old and new value
 
 
@@ -66,7 +66,7 @@ def _planned(grid: PricedTaxi, action_set: str) -> int:
 
 
 def _discrete_dp(grid: PricedTaxi) -> Any:
-    """Return the problem for quantecon, over sparse pairs of state and action."""
+    """Return the problem for quantecon, as sparse state-action pairs."""
     markov = pytest.importorskip('quantecon.markov')
     rules, over = grid.transitions(), grid.over()
     n_states, n_actions = rules.successor.shape[:2]
@@ -119,7 +119,7 @@ def bench_sweeps(benchmark: Any, grid: PricedTaxi, side: int, swept: str) -> Non
     """
     Sweep over all actions.
 
-    For each state, a sweep has to read one successor and one reward per action and the old value,
+    For each state, a sweep has to read the old value and one successor and one reward per action,
     and to write the new value. The copy reads and writes the same number of bytes.
     """
     benchmark.group, benchmark.name = f'{SWEEPS} sweeps of Taxi {side} x {side}', swept

@@ -32,7 +32,7 @@ def own_place() -> Iterator[Path]:
     """
     Provide a temporary folder and an unused ROS_DOMAIN_ID for new processes.
 
-    Message fields are not checked meanwhile: only tests check them.
+    Meanwhile, message fields are not checked, as usual outside of tests.
 
     :raises LaunchError: every domain is in use.
     """
@@ -88,7 +88,7 @@ def stop(launcher: Launcher) -> None:
 
 class Client:
     """
-    A node in this process that sends one request and waits for the answer.
+    A node in this process that sends one request at a time and waits for the answer.
 
     It has its own executor, so that nothing else runs during a measurement.
     """

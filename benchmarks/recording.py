@@ -38,7 +38,7 @@ class Load:
     messages: int
     rate: int  # messages per second; 0: as fast as the reader takes them
     rounds: int
-    longest: float = 15.0  # s of sending; a reader that slows the sender down gets less
+    longest: float = 15.0  # s of sending at most; a slow reader then gets fewer messages
 
 
 # A reader's middleware queues up to 5,000 messages per topic, so a load at maximum speed has many
@@ -105,7 +105,7 @@ class Sender(Client):
     rate. At a steady rate, it sends on three topics, like a game with a display.
 
     :ivar sent: number of messages.
-    :ivar processor: share of one core used by the reader meanwhile.
+    :ivar processor: share of one core used by the reader while receiving.
     :ivar memory: peak memory of the reader, bytes.
     """
 
@@ -117,7 +117,7 @@ class Sender(Client):
         self.until(lambda: all(to.get_subscription_count() for to in self._to), reader)
 
     def send(self, load: Load) -> None:
-        """Send everything, or what the reader accepts in time; wait until it has arrived."""
+        """Send all messages, or as many as the reader accepts in time; wait until they arrive."""
         to = self._to if load.rate else self._to[:1]
         wanted = range(load.messages)
         ready = [] if load.rate else [self._message(number, 1) for number in wanted]
@@ -140,7 +140,7 @@ class Sender(Client):
         self.memory = after.peak
 
     def close(self) -> None:
-        """Leave the graph; a reader with pending messages ends first and takes them at its end."""
+        """Leave the graph; a reader with pending messages ends first, and takes them meanwhile."""
         if not self._await_received(0.0):
             stop(self._launcher)
         super().close()
@@ -150,7 +150,7 @@ class Sender(Client):
         return all(to.wait_for_all_acked(Duration(seconds=seconds)) for to in self._to)
 
     def _message(self, number: int, topics: int) -> bytes:
-        """Return a message for the next topic, with its number on that topic."""
+        """Return a message for the next topic, with its sequence number on that topic."""
         turn, place = divmod(number, topics)
         sender = f'{NAMESPACE}/bench_sender#00000000'
         message: Any = [*KINDS.values()][place](

@@ -13,14 +13,14 @@ from humanopts_teach.terminal.drawing import frame
 import pytest
 
 DOMAINS = ('taxi', 'gymnasium:MiniGrid-DoorKey-8x8-v0', 'gymnasium:LunarLander-v3')
-STEPS = 50  # of the episode that is drawn again and again
+STEPS = 50  # of the episode, which is drawn repeatedly
 WINDOW = 120, 40  # columns, rows
 
 
 @pytest.mark.parametrize('domain', DOMAINS)
 @pytest.mark.parametrize('place', ['terminal', 'page'])
 def bench_screen(benchmark: Any, domain: str, place: str) -> None:
-    """Follow each step and draw it; Taxi, which is drawn from its cells, is the yardstick."""
+    """Draw the screen after each step; Taxi, which is drawn from its cells, is the yardstick."""
     benchmark.group, benchmark.name = f'a step, to its screen in a {place}', domain
     game = Game(make_domain(domain))
     seen = [game.reset('', 1, Source.PERSON).transition]
@@ -29,7 +29,7 @@ def bench_screen(benchmark: Any, domain: str, place: str) -> None:
         game.command(Command('bench', step + 1, Source.PERSON, 1, step, action))
         seen.append(game.transition)
     app = App(PlayScreen(App.end))
-    app.world.domain = make_domain(domain)  # the screen's own, which follows the game's
+    app.world.domain = make_domain(domain)  # separate from the game's domain
     states = cycle(seen)
 
     def draw() -> None:

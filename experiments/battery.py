@@ -1,10 +1,10 @@
 """
-Plans in a world that can only be acted in: when to deliver, and when to charge the battery.
+Planning in a world without known rules: when to deliver, and when to charge the battery.
 
 This goes beyond the paper. The world is ``examples/own_robot/street.py``; the learner knows
-only what the node publishes. In a trial, a simulated person shows two options, *deliver* and
-*charge*, neither of which looks at the battery. Then the machine drives ``EPISODES`` episodes, and
-what it chooses afterwards is compared with a hand-written rule and with random choice.
+only what the node publishes. In a trial, a simulated person demonstrates two options, *deliver*
+and *charge*; neither depends on the battery. The machine then drives ``EPISODES`` episodes. Its
+later choices are compared with a hand-written rule and with random choice.
 
 The options run as in a live game (``humanopts_learner.run``), and their runs are assembled from
 states, goals and results as in the node ``planner``.
@@ -47,25 +47,25 @@ NAME = 'battery'
 TITLE = 'Plans in a world that can only be acted in'
 LESSONS = 20
 COST = 15.0
-EPISODES = 100  # of driving, before each plan
-JUDGED = 100  # episodes that each policy is judged by
-SHOWN = 8  # demonstrations of each option
+EPISODES = 100  # driven before each plan
+JUDGED = 100  # episodes for judging each policy
+SHOWN = 8  # demonstrations per option
 LOW = 40.0  # charge below which the person charges, %
 RULE_AT = 36.0  # charge below which the rule charges, %: the best of 30, 32, ..., 40
 DELIVER, CHARGE = 'deliver', 'charge'
 WAYS = {DELIVER: ('target_way', 'drop', 'delivered'), CHARGE: ('charger_way', 'plug', 'charged')}
-HERE = 2.0  # value of the features that are ways
+HERE = 2.0  # value of a ``*_way`` feature at the place itself
 RULE, RANDOM = 'hand-written rule', 'random choice'
 MODELS, Q_LEARNING = 'models of recorded runs', 'Q-learning while driving'
 SYMBOLS, ASKED = 'symbols of the options', 'symbols and the battery'
 KEYS = ['policy', 'abstract states']
-NEAR, MORE = 0.95, 1.8  # goals: share of the rule, and times random choice
+NEAR, MORE = 0.95, 1.8  # goals: minimum ratios to the rule, and to random choice
 Choose = Callable[[SeenState, np.random.Generator], str]  # the next option
 
 
 @cache
 def world() -> Any:
-    """Return the module of the world; an example is not installed."""
+    """Load the module of the world from its file; the example is not installed."""
     path = Path(__file__).parents[1] / 'examples' / 'own_robot' / 'street.py'
     spec = spec_from_file_location('street', path)
     assert spec is not None
@@ -77,7 +77,7 @@ def world() -> Any:
 
 @cache
 def described() -> DescribedDomain:
-    """Return what the world says about itself."""
+    """Return the description of the world as a domain."""
     street = world()
     return DescribedDomain(
         'street',
@@ -95,7 +95,7 @@ def described() -> DescribedDomain:
 
 
 def state_of(street: Any) -> SeenState:
-    """Return the state that the world publishes."""
+    """Return the state that a street publishes."""
     return SeenState(repr(street.features()), tuple(street.features()), street.empty)
 
 
@@ -105,12 +105,12 @@ def value_of(state: SeenState, name: str) -> float:
 
 
 def demonstrate(name: str, number: int, seed: int) -> Demonstration:
-    """Show an option where the person would choose it: charging where the battery is low."""
+    """Demonstrate an option where the person would choose it: charge if the battery is low."""
     domain, street = described(), world().Street()
     street.reset(int(generator(seed, NAME, 'teacher', name, number).integers(2**31)))
     low, high = (0.5 * LOW, LOW) if name == CHARGE else (LOW, world().FULL)
     street.battery = street.chance.uniform(low, high)
-    street.errand = street.chance.choice(world().ERRANDS)  # before this one
+    street.errand = street.chance.choice(world().ERRANDS)  # the previous one
     way, action, errand = WAYS[name]
     states, actions, rewards = [state_of(street)], list[str](), list[float]()
     while street.errand != errand or not actions or value_of(states[-1], 'base_way') != HERE:
@@ -140,7 +140,7 @@ def demonstrate(name: str, number: int, seed: int) -> Demonstration:
 
 
 def taught(seed: int) -> tuple[list[LearnedOption], str]:
-    """Return the options, and the column that the demonstrations suggest."""
+    """Return the learned options and the column suggested by their demonstrations."""
     shown = {
         name: [demonstrate(name, number, seed) for number in range(1, SHOWN + 1)] for name in WAYS
     }
@@ -156,9 +156,9 @@ def drive(
     on_run: Callable[[OptionRun], object] = lambda run: None,
 ) -> list[float]:
     """
-    Drive episodes as ``run_policy`` does, and return the deliveries of each.
+    Drive episodes as ``run_policy`` does, and return the number of deliveries in each.
 
-    :param on_run: called with each run of an option.
+    :param on_run: callback that receives each run of an option.
     """
     domain, street, named = described(), world().Street(), {each.name: each for each in options}
     collector, returns = RunCollector(domain), []
@@ -187,22 +187,22 @@ def drive(
 
 
 def at_random(state: SeenState, rng: np.random.Generator) -> str:
-    """Choose one of the options."""
+    """Choose one of the options at random."""
     return (DELIVER, CHARGE)[int(rng.integers(2))]
 
 
 def by_rule(state: SeenState, rng: np.random.Generator) -> str:
-    """Charge where the battery is low."""
+    """Charge if the battery is low, otherwise deliver."""
     return CHARGE if value_of(state, 'battery') < RULE_AT else DELIVER
 
 
 def greedy(plan: RecordedPlan) -> Choose:
-    """Choose by a plan."""
+    """Return a function that chooses by a plan."""
     return lambda state, rng: plan.choose(state).name
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial per lesson; none with bags."""
+    """Return one trial per lesson; none if the study uses bags."""
     lessons = 0 if study.bags else study.participants
     return [
         Trial(NAME, {'lesson': lesson, 'seed': study.seed}, give_lesson, COST)
@@ -215,7 +215,7 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
     Teach the options, drive, plan, and judge every policy in the same episodes.
 
     :return: one row per policy and kind of abstract states: deliveries (mean per episode), states
-        (number of abstract states), runs (recorded).
+        (number of abstract states), runs (number recorded).
     """
     lesson = int(generator(parameters['seed'], NAME, parameters['lesson']).integers(2**31))
     options, column = taught(lesson)
@@ -246,7 +246,7 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
 def learned_runs(
     options: Sequence[LearnedOption], learner: OptionLearner, seed: int
 ) -> list[OptionRun]:
-    """Let the machine learn while it drives, and return its runs."""
+    """Let the machine learn while driving, and return its runs."""
     runs: list[OptionRun] = []
 
     def on_run(run: OptionRun) -> None:
@@ -258,7 +258,7 @@ def learned_runs(
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report; one row per lesson, policy and kind of abstract states."""
+    """Return the report section from one row per lesson, policy and kind of abstract states."""
     lessons = rows.drop(columns='trial', errors='ignore')
     summary = report.mean_intervals(lessons, KEYS, 'deliveries')
     means = lessons.groupby(KEYS, sort=False)[['states', 'runs']].mean()

@@ -39,10 +39,10 @@ from experiments.people import Participant, read_bag_lessons, Study
 from experiments.report import PAGE, Reproduction, Section, write_reproduction
 from experiments.trials import ClusterError, LIBRARIES, Rows, run_trials, Trial
 
-_LINE_EVERY = 15.0  # s between lines without a terminal
+_LINE_EVERY = 15.0  # s between progress lines without a terminal
 app = typer.Typer(**PLAIN)
-# Each module has its command line ``NAME``, a ``TITLE``, ``trials`` of a study, and ``present``,
-# which makes a section from result rows.
+# Each module has ``NAME`` (its name on the command line), ``TITLE``, ``trials``, which returns the
+# trials of a study, and ``present``, which makes a report section from their rows.
 PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
 BEYOND = [transfer, demonstrations, worlds, judging, battery, rover, power]
 EXPERIMENTS = {each.NAME: each for each in (*PAPER, *BEYOND)}
@@ -91,7 +91,7 @@ def reproduce(
             help=f'simulated, in each group; default: {Study.participants}, and '
             f'{worlds.LESSONS} for worlds and rover, {judging.LESSONS} for judging and '
             f'{battery.LESSONS} for battery, where each gives one lesson in each environment or '
-            'row',
+            f'row, and {power.LESSONS} for power',
         ),
     ] = None,
     seeds: Annotated[
@@ -176,7 +176,7 @@ def reproduce(
 
 
 def section_of(experiment: ModuleType, rows: Rows) -> Section:
-    """Return the section of an experiment; empty if no trial has a result."""
+    """Return the report section of an experiment; it is empty if no trial has a result."""
     if not rows:
         return Section(experiment.NAME, experiment.TITLE)
     section: Section = experiment.present(pd.DataFrame(rows))

@@ -2,12 +2,12 @@
 Number of demonstrations needed for an option, by learning method.
 
 This goes beyond the paper, which learns every part of an option with trees. In a trial, one
-simulated person teaches every reference option of a domain with one learning method, from start
-states of one strategy. A lesson continues until the criteria are met and the policy is right, and
-then for ``LONGER`` demonstrations, to check that it stays right; it ends after ``BUDGET`` start
-states at the latest. Right means: in every state of the reference option's initiation set the
-action is one of the best. In deterministic domains it is then as good as the demonstrations from
-every start.
+simulated person teaches every reference option of a domain with one learning method and one
+strategy for start states. A lesson continues until the criteria are met and the policy is right,
+and then for ``LONGER`` more demonstrations, to check that the policy stays right. It ends after
+``BUDGET`` start states at the latest. A policy is right if it takes an optimal action in every
+state of the reference option's initiation set. In a deterministic domain, a right policy is as
+good as the demonstrations from every start.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,18 +34,18 @@ from experiments.trials import Rows, Trial
 NAME = 'demonstrations'
 TITLE = 'Demonstrations that an option takes'
 STRATEGIES = ('random', 'failures')
-SLIPS = 'slips'  # careful people who make a share of wrong steps
+SLIPS = 'slips'  # group of otherwise careful people who take some wrong steps
 ERROR_RATE = 0.02
 BUDGET = 60  # start states per lesson
 LONGER = 3  # extra demonstrations once the policy is right and the criteria are met
-TARGETS = {GOAL: 5, TREES: 25}  # demonstrations until the criteria are met, in Taxi
+TARGETS = {GOAL: 5, TREES: 25}  # maximum demonstrations until the criteria are met, in Taxi
 KEYS = ['domain', 'option', 'method', 'strategy', 'people']
 UNTIL = ['until the criteria hold', 'until right for good']
 COSTS = {'taxi': 10.0, 'rooms': 30.0}  # approximate processor seconds per trial, by domain
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial per simulated person, domain, method and strategy; none with bags."""
+    """Return one trial per simulated person, domain, method and strategy; none for bags."""
     careful = [] if study.bags else participants(CAREFUL, study.participants, study.seed)
     slipping = [
         replace(one, group=SLIPS, code=one.code.replace(CAREFUL, SLIPS), error_rate=ERROR_RATE)
@@ -66,7 +66,7 @@ def trials(study: Study) -> list[Trial]:
 
 
 def count_demonstrations(parameters: Mapping[str, Any]) -> Rows:
-    """Return one row per reference option: the demonstrations needed; None: too few given."""
+    """Return one row per reference option: the demonstrations needed, None if not reached."""
     rows = []
     person = parameters['person']
     case = {key: parameters[key] for key in ('domain', 'method', 'strategy')}
@@ -95,7 +95,7 @@ def _lesson(parameters: Mapping[str, Any], name: str) -> list[tuple[int, float, 
     Teach one option.
 
     :return: number of demonstrations, policy accuracy, and whether the criteria are met, after
-        each demonstration and "not here" answer.
+        each demonstration and each "not here" answer.
     """
     domain, person = make_domain(parameters['domain']), Participant(**parameters['person'])
     reference = reference_options(domain)[name]
@@ -119,8 +119,7 @@ def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
     Return one row per option, method, strategy and group of people: medians and maxima.
 
     :return: ``KEYS``, count (of people), for both of ``UNTIL`` the median, the maximum and the
-        number of people who exceeded the budget, and the largest delay until the criteria were
-        met.
+        number of people who never reached it, and the largest excess of the first over the second.
     """
     groups = counts.assign(excess=counts[UNTIL[0]] - counts[UNTIL[1]]).groupby(KEYS, sort=False)
     found = {'count': groups.size()}
@@ -134,7 +133,7 @@ def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report; one row per person and option taught."""
+    """Return the report section from one row per person and option taught."""
     counts = rows.drop(columns='trial', errors='ignore').astype(dict.fromkeys(UNTIL, float))
     tables = [
         report.Table('demonstrations-summary', 'Demonstrations by option', summary_table(counts)),
@@ -158,10 +157,10 @@ def present(rows: pd.DataFrame) -> report.Section:
 
 
 def _comparisons(taxi: pd.DataFrame) -> list[report.Comparison]:
-    """Compare the mean demonstrations of each option of Taxi with the goal of its method."""
+    """Compare the mean demonstrations for each Taxi option with the goal of the method."""
     found = []
     for (method, people), rows in report.grouped(taxi, ['method', 'people']):
-        # A lesson that never met the criteria would have needed more demonstrations.
+        # A lesson that never met the criteria counts with its whole budget, which is too low.
         means = {
             option: Interval.of(mine[UNTIL[0]].fillna(BUDGET))
             for (option,), mine in report.grouped(rows, ['option'])

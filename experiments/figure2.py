@@ -1,10 +1,10 @@
 """
 Figure 2: accuracy of learned options by number of demonstrations (section 7.1).
 
-There are two measures of a policy. *Average return*, as in the paper, is the mean return of runs
-from states in the option's initiation set. *Policy accuracy* is the share of these states in which
-the learned policy takes one of the best actions. *Classification accuracy* of I and beta is the
-share of states classified as by the reference option.
+*Average return* of a policy, as in the paper, is the mean return of runs from states in the
+option's initiation set. *Policy accuracy* is the share of these states in which the learned policy
+takes an optimal action. *Classification accuracy* of I and beta is the share of states in which
+they agree with the reference option.
 
 Pac-Man is taught with both of its feature lists: directions, which give the policy away, and
 positions, as in the paper.
@@ -63,14 +63,14 @@ class TaughtGame:
     features: str  # name of the feature list
     feature_list: str | None  # value of this domain parameter; None: no such parameter
     shown: int  # demonstrations per option and person
-    groups: tuple[str, ...]  # of people
+    groups: tuple[str, ...]  # groups of people
     cost: float  # approximate processor seconds per trial
-    strategies: tuple[str, ...] = STRATEGIES  # of start states
+    strategies: tuple[str, ...] = STRATEGIES  # for start states
     note: str = ''  # note on the features, for captions
 
     @property
     def parameters(self) -> str:
-        """The domain parameters that differ from the defaults, JSON object."""
+        """The domain parameters that differ from the defaults, as a JSON object."""
         return json.dumps({'features': self.feature_list} if self.feature_list else {})
 
 
@@ -91,12 +91,12 @@ MEASURES = {  # measure: plot title; all except the return are shares of states
     'initiation': 'I (may it start?)',
     'termination': 'β (does it end?)',
 }
-LEVELS = (0.95, 1.0)  # of policy accuracy; the report gives the demonstrations needed
-GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # max. demonstrations, careful, Taxi
+LEVELS = (0.95, 1.0)  # of policy accuracy; the report gives the demonstrations needed for each
+GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # maximum for careful people in Taxi
 ROUNDING = 1e-9  # rounding error of an accuracy
 STYLES = {'random': 'C1--', 'coverage': 'C3-.', 'failures': 'C0-'}
 ACTS = ('name of an option', 'answer', 'start state', 'step', 'watched step', 'verdict')
-PACE = dict(zip(ACTS, SECONDS.values(), strict=True))  # s, assumed
+PACE = dict(zip(ACTS, SECONDS.values(), strict=True))  # assumed seconds per act
 GROUP_NAMES = {
     CAREFUL: 'simulated people without errors',
     VARIED: 'simulated people who differ',
@@ -171,11 +171,11 @@ def point_rows(
     """
     Measure an option after each of its demonstrations.
 
-    :param lesson: the option after each answer; for each number of demonstrations, the last one
-        counts.
+    :param lesson: version of the option after each answer; the last one for each number of
+        demonstrations counts.
     :param who: group, strategy of start states, and code of the person.
     :param seconds: duration of the lesson.
-    :param cut_short: reason for an early end of the lesson; empty: none.
+    :param cut_short: reason for an early end of the lesson; empty: no early end.
     :return: ``PERSON``, demonstrations, not here (answers so far), ``MEASURES``, best return (of
         the reference option), minutes, cut short. No rows without a reference option.
     """
@@ -219,9 +219,9 @@ def person_table(points: pd.DataFrame) -> pd.DataFrame:
     """
     Return one row per person.
 
-    :return: ``PERSON``; for each of ``LEVELS`` the number of demonstrations after which it was
-        reached permanently, NaN if never; the last measures, best return, minutes, cut short,
-        and shown (number of all demonstrations).
+    :return: ``PERSON``; for each of ``LEVELS`` the number of demonstrations after which the policy
+        accuracy stayed there, NaN if it never did; the last measures, best return, minutes, cut
+        short, and shown (total number of demonstrations).
     """
     last = {name: f'last accuracy of {name}' for name in MEASURES} | {RETURN: 'last return'}
     rows = []
@@ -237,9 +237,9 @@ def person_table(points: pd.DataFrame) -> pd.DataFrame:
 
 def needed_table(people: pd.DataFrame) -> pd.DataFrame:
     """
-    Return the demonstrations after which ``LEVELS`` of policy accuracy were reached permanently.
+    Return the numbers of demonstrations after which the policy accuracy stayed at ``LEVELS``.
 
-    If a level was not reached, the mean assumes all demonstrations shown and is too low.
+    A person without such a number counts with all demonstrations shown, so the mean is too low.
     """
     rows = []
     for key, members in report.grouped(people, CASE):
@@ -264,7 +264,7 @@ def last_table(points: pd.DataFrame) -> pd.DataFrame:
 
 
 def present(points: pd.DataFrame) -> report.Section:
-    """Return the section of the report."""
+    """Return the report section."""
     curves, people = curve_table(points), person_table(points)
     tables = [
         report.Table(
@@ -293,12 +293,12 @@ def _compare_cases(points: pd.DataFrame, people: pd.DataFrame) -> Iterator[repor
 
 
 def _compare_accuracies(case: str, points: pd.DataFrame) -> Iterator[report.Comparison]:
-    """Yield the within-person rise of return and best actions, and the errors of I and β."""
+    """Compare the gains within a person in return and policy accuracy, and errors of I and β."""
     most = int(points['demonstrations'].max())
     last, gains = min(PAPER_DEMONSTRATIONS, most), {}
     for measure in (RETURN, 'policy'):
         values = points.pivot(index='person', columns='demonstrations', values=measure)
-        # people with only "not here" answers at the start, or fewer demonstrations, have no pair
+        # people with only "not here" answers at the start or too few demonstrations have no pair
         pairs = values.reindex(columns=[1, last]).dropna().to_numpy(float)
         gains[MEASURES[measure]] = Interval.of_difference(pairs[:, -1], pairs[:, 0])
     ends = points.groupby('person', sort=False).last()
@@ -322,10 +322,10 @@ def _compare_needed(
     case: str, strategy: str, members: pd.DataFrame
 ) -> Iterator[report.Comparison]:
     """
-    Compare the demonstrations needed by careful people with the paper's and our goals.
+    Compare the demonstrations needed by careful people with the paper's claim and our goals.
 
     A person who did not reach a level counts with all demonstrations shown. This number can only
-    be too low: it may refute that few are needed, but never confirm it.
+    be too low, so it can refute a goal but not confirm it.
     """
     for level in LEVELS:
         reached = members[f'{level:.0%}']
@@ -350,7 +350,7 @@ def _game(domain: str, features: str) -> str:
 
 
 def _compare_minutes(people: pd.DataFrame) -> Iterator[report.Comparison]:
-    """Yield the time people took for all their demonstrations."""
+    """Compare the minutes that people took for all their demonstrations with the paper's."""
     for (domain, features), mine in report.grouped(people[_like_paper(people)], CASE[:2]):
         if domain in PAPER_MINUTES:
             lessons = mine.groupby(['person', 'start states by'])['minutes'].sum()
@@ -363,13 +363,13 @@ def _compare_minutes(people: pd.DataFrame) -> Iterator[report.Comparison]:
 
 
 def _like_paper(rows: pd.DataFrame) -> 'pd.Series[bool]':
-    """Select rows of real people, and of varied simulated ones with random start states."""
+    """Select the rows of real people, and of varied simulated people with random start states."""
     group = rows['people']
     return (group == PEOPLE) | (group == VARIED) & (rows['start states by'] == 'random')
 
 
 def _pictures(curves: pd.DataFrame) -> list[report.Picture]:
-    """Return one figure per option and group, with a line per strategy."""
+    """Return one figure per option and group, with one line per strategy."""
     notes = {(game.domain, game.features): game.note for game in GAMES}
     return [
         report.Picture(

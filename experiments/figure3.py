@@ -1,8 +1,8 @@
 """
 Figure 3: options found without a person, in Taxi (section 7.3) and in the maze of Pac-Man.
 
-They are found by the algorithm of Stolle and Precup (2002), see ``humanopts_learner.automatic``.
-One trial is one extraction, with its own random tasks.
+The algorithm is that of Stolle and Precup (2002); see ``humanopts_learner.automatic``. One trial
+is one extraction, with its own random tasks.
 """
 
 from collections import Counter
@@ -30,10 +30,10 @@ NAME = 'fig3'
 TITLE = 'Figure 3: automatic options'
 DOMAINS = {'taxi': 'Taxi', 'pacman': 'Pac-Man'}
 COST = 7.0  # approximate processor seconds per trial
-CENTRE = 'go to cell 2,2'  # of the 5 x 5 grid
-LARGEST_SIDE = 5.0  # of a drawn board, inches
+CENTRE = 'go to cell 2,2'  # centre of the 5 x 5 grid
+LARGEST_SIDE = 5.0  # longer side of a drawn board, inches
 PAPERS = (*(f'{event} at {name}' for event in ('pickup', 'dropoff') for name in 'RGYB'), CENTRE)
-KINDS = {'pickups': 'pickup', 'dropoffs': 'dropoff', 'cells': ''}  # of options, by last event
+KINDS = {'pickups': 'pickup', 'dropoffs': 'dropoff', 'cells': ''}  # final event by kind
 EACH = {'option': 'option', 'can start': 'share of states where it can start'}  # list columns
 
 
@@ -48,14 +48,14 @@ def trials(study: Study) -> list[Trial]:
 
 
 def extract(parameters: Mapping[str, Any]) -> Rows:
-    """Find the options of a domain; return the row of ``extraction_row``."""
+    """Extract the options of a domain; return one row, see ``extraction_row``."""
     domain = make_domain(parameters['domain'])
     found = extraction(domain.name, parameters_json(domain), parameters['seed'])
     return [{**parameters, **extraction_row(found)}]
 
 
 def extraction_row(found: AutomaticOptions) -> dict[str, Any]:
-    """Return the columns of an extraction; lists are in order of discovery, or by cell."""
+    """Return the row of an extraction; lists are in order of discovery, visits by cell."""
     reached, options = found.space.open, found.options
     events = [option.target.event for option in options]
     return {
@@ -74,7 +74,7 @@ def extraction_row(found: AutomaticOptions) -> dict[str, Any]:
 
 
 def present(extractions: pd.DataFrame) -> Section:
-    """Return the section of the report."""
+    """Return the report section."""
     options = extractions.explode([*EACH])[['domain', 'seed', *EACH]].rename(columns=EACH)
     cost = extractions.drop(columns=[*EACH, 'target', 'visits', 'trial'], errors='ignore')
     by_domain = {domain: mine for (domain,), mine in grouped(extractions, ['domain'])}
@@ -97,7 +97,7 @@ def present(extractions: pd.DataFrame) -> Section:
 
 
 def found_table(domain: str, found: Iterable[Sequence[str]]) -> pd.DataFrame:
-    """Return the number of extractions that found each option, including all of the paper's."""
+    """Count the extractions that found each option; every option of the paper has a row."""
     seen, papers = _seen(found), PAPERS if domain == 'taxi' else ()
     others = sorted(set(seen) - set(papers), key=lambda name: (-seen[name], name))
     rows = [
@@ -108,12 +108,12 @@ def found_table(domain: str, found: Iterable[Sequence[str]]) -> pd.DataFrame:
 
 
 def _seen(found: Iterable[Sequence[str]]) -> Counter[str]:
-    """Return the number of extractions that found an option, by name."""
+    """Count the extractions that found each option, by name."""
     return Counter(name for names in found for name in set(names))
 
 
 def _comparisons(taxi: pd.DataFrame) -> list[Comparison]:
-    """Compare extractions in Taxi with the paper's."""
+    """Compare the extractions in Taxi with the paper's statements."""
     domain = Taxi()
     shares = {  # one flag per extraction
         'kinds': (taxi[[*KINDS]] == [*paper.AUTOMATIC]).all(axis=1),

@@ -1,9 +1,10 @@
 """
 Figure 4: steps per episode of Q-learning in Taxi, by action set (section 7.3).
 
-A member is a set of options (of one person, of one extraction, or empty) with several learners.
-The members of a trial learn in parallel. Every action set has the same budget: the same number of
-rates is tried in the same number of runs, and the best rates are used again with new random draws.
+A member is a set of options (from one person, from one extraction, or empty) with several
+learners. The members of a trial learn in parallel, which saves time. Every action set has the same
+budget: the same number of rates, each tried in the same number of runs. The best rates are then
+used with new random draws.
 """
 
 from collections.abc import Mapping
@@ -48,7 +49,7 @@ SETS = {  # by name: kind of owner of the options, action set of the learner, co
 }
 METHODS = {'smdp': 'SMDP Q-learning', 'intra-option': 'intra-option Q-learning'}
 LIMIT = 1000  # maximum steps per episode; the domain's limit of 200 would hide long episodes
-TRIED, TRIALS = 10, 3  # rates to try, and learners for each
+TRIED, TRIALS = 10, 3  # number of rates to try, and of learners for each
 TOGETHER = 6  # maximum number of members per trial
 COST = 8.0  # approximate processor seconds per member
 KEYS = ['method', 'action set']
@@ -56,11 +57,7 @@ FIRST, LAST, ALL = 'first 10 episodes', 'last 10', 'steps in all'
 
 
 def trials(study: people.Study) -> list[Trial]:
-    """
-    Return one trial per method, action set, and up to ``TOGETHER`` members.
-
-    Members learn in parallel, which takes a fraction of the time.
-    """
+    """Return one trial per method, action set, and up to ``TOGETHER`` members."""
     sources = people.owners(study, DOMAIN)
     return [
         Trial(
@@ -87,8 +84,8 @@ def learn_curves(parameters: Mapping[str, Any]) -> Rows:
     """
     Learn with one action set.
 
-    :return: one row per member: method, action set, number of options, rates, and steps: the mean
-        over the learners by episode.
+    :return: one row per member: method, action set, options (number), rates, and steps (by
+        episode, mean over the learners).
     """
     domain, chosen = Taxi(), SETS[parameters['set']][1]
     members = [{**parameters, **member} for member in parameters['members']]
@@ -122,7 +119,7 @@ def learn_curves(parameters: Mapping[str, Any]) -> Rows:
 
 
 def present(members: pd.DataFrame) -> report.Section:
-    """Return the section of the report; a row of ``members`` has the steps of all episodes."""
+    """Return the report section; each row of ``members`` has the steps of all episodes."""
     steps = np.array(members['steps'].tolist())  # (members, episodes)
     parts = {ALL: steps.sum(1), FIRST: steps[:, :10].mean(1), LAST: steps[:, -10:].mean(1)}
     totals = members.assign(**parts)
@@ -147,10 +144,10 @@ def present(members: pd.DataFrame) -> report.Section:
 
 def _comparisons(totals: pd.DataFrame) -> list[report.Comparison]:
     """
-    Compare the steps of all episodes; people and extractions are independent units.
+    Compare the total steps; people and extractions are the independent units.
 
-    Fewer steps alone do not prove learning, so a comparison of the first and the last episodes
-    with human options follows.
+    Fewer steps alone do not prove learning, so the result also gives the steps in the first and
+    the last episodes with human options.
     """
     found = []
     for (method,), rows in report.grouped(totals, ['method']):
@@ -171,7 +168,7 @@ def _comparisons(totals: pd.DataFrame) -> list[report.Comparison]:
 
 
 def _pictures(curves: pd.DataFrame) -> list[report.Picture]:
-    """Return two figures per method: the paper's action sets on its axis, and all sets."""
+    """Return two figures per method: the paper's action sets on the paper's axis, and all sets."""
     return [
         report.Picture(
             f'fig4-{method}{suffix}',

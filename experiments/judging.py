@@ -1,14 +1,14 @@
 """
-Whether an option is right when the lesson says that it is learned.
+Check whether options that a lesson calls learned are right.
 
 This goes beyond the paper. In a trial, a simulated teacher gives one lesson, and then the learned
 option runs from starts that the lesson did not choose (``right.py``). The teacher is careful, errs
-in a share of its steps, answers yes to needless features or no to a needed one, or means something
-that no option can express.
+in a share of its steps, answers yes to needless features or no to a needed one, or has a behaviour
+in mind that no option can express.
 
-In a *learnable* row of the table, demonstrations and answers determine the option: of the options
-called learned, at least ``SHARE`` have to be right. In the other rows, at most ``FALSE`` of all
-lessons may call an option learned that is wrong.
+In a *learnable* row of the table, demonstrations and answers determine the option, and at least
+``SHARE`` of the options called learned have to be right. In the other rows, at most ``FALSE`` of
+all lessons may call a wrong option learned.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -51,30 +51,30 @@ NAME = 'judging'
 TITLE = 'Whether what a lesson calls learned is right'
 LESSONS = 6
 FALSE = 0.05
-SLOW = 1 / 3  # share of the lessons in rows where a lesson takes long
+SLOW = 1 / 3  # share of the lessons given in slow rows
 BUDGET = 40  # start states per option
-ATTEMPTS = 100  # at a demonstration from one start: a teacher who errs in most steps is patient
-REPLAYED = 10  # the same, where runs are slow; without errors and chance, one attempt is enough
+ATTEMPTS = 100  # per start; many, since some teachers err in most of their steps
+REPLAYED = 10  # the same in a replayed domain, which is slow; 1 without errors
 KEYS = ['world', 'method', 'taught by']
 KEYED = AnswerQuestion, BeginDemonstration, Drive, EndDemonstration, RunOption  # one key each
 COSTS = ['demonstrations', 'not here', 'questions', 'exam answers', 'keys']
 
 
-# Meanings that depend on where a run begins.
+# Options with an end that depends on the start.
 
 
 @dataclass(frozen=True, eq=False)
 class Relative:
-    """A reference option of a deterministic domain that ends in one state for each start."""
+    """A reference option with one end state for each start, in a deterministic domain."""
 
     domain: EnumerableDomain
     name: str
     features: tuple[str, ...]
     definition: str
-    end: tuple[int, ...]  # (S,) state in which a run ends; -1: it cannot start
+    end: tuple[int, ...]  # (S,) end state of a run from each state; -1: it cannot start
 
     def begun(self, state: Any) -> TabularReferenceOption:
-        """Return the shortest paths to the end of a run from a state."""
+        """Return the option of shortest paths to the end of a run from a state."""
         return _paths_to(self, self.end[self.domain.index(state)])
 
     def can_start(self, state: Any) -> bool:
@@ -86,7 +86,7 @@ class Relative:
         return False
 
     def optimal_actions(self, state: Any) -> tuple[int, ...]:
-        """Return the first actions of a run that begins in a state."""
+        """Return the optimal first actions of a run from a state."""
         return self.begun(state).optimal_actions(state)
 
 
@@ -157,7 +157,7 @@ def two_cells_north(domain: Taxi) -> dict[str, ReferenceOption]:
 
 
 def fetch(domain: Taxi) -> dict[str, ReferenceOption]:
-    """Return an option whose end depends on its history: it goes back to where it began."""
+    """Return an option with an end that depends on history: it returns to its start."""
 
     def end(state: TaxiState) -> TaxiState | None:
         return None if state.passenger == ABOARD else replace(state, passenger=ABOARD)
@@ -173,7 +173,7 @@ def fetch(domain: Taxi) -> dict[str, ReferenceOption]:
 
 
 class OnIce(TabularReferenceOption):
-    """A reference option whose best action next to the goal may be one that slips there."""
+    """A reference option on ice: next to the goal, the best action may be one that slips there."""
 
     @property
     def goal(self) -> Flags:
@@ -209,15 +209,15 @@ class World:
     """A domain of the table."""
 
     domain: str
-    options: tuple[str, ...] = ()  # by turns; empty: all
-    together: bool = False  # each lesson teaches all of them: one leads to the starts of another
+    options: tuple[str, ...] = ()  # taught in turn; empty: all options
+    together: bool = False  # a lesson teaches all options: one leads to the starts of another
     methods: tuple[str, ...] = (TREES,)
-    answers: bool = True  # whether there are needless features
-    slow: bool = False  # a third of the lessons
-    too_few: tuple[str, ...] = ()  # teachers with whom BUDGET start states are too few
+    answers: bool = True  # whether the domain has needless features
+    slow: bool = False  # whether to give only a third of the lessons
+    too_few: tuple[str, ...] = ()  # teachers for whom BUDGET start states are too few
     references: Callable[[Any], dict[str, ReferenceOption]] = reference_options
     cost: float = 3.0  # approximate processor seconds per lesson
-    least: int = 1  # participants from which there are lessons
+    least: int = 1  # minimum number of participants for this domain
 
 
 WORLDS = {
@@ -261,14 +261,14 @@ class Teacher:
     """A kind of teacher."""
 
     error_rate: float = 0.0
-    needless: float = 0.0  # share of needless features with the answer yes
-    missing: bool = False  # one needed feature gets the answer no
-    learnable: tuple[str, ...] = (*METHODS,)  # methods with which lessons determine the option
-    reason: str = ''  # why other methods do not
-    meaning: Callable[[Any], dict[str, ReferenceOption]] | None = None  # in Taxi only
+    needless: float = 0.0  # share of needless features answered with yes
+    missing: bool = False  # whether one needed feature is answered with no
+    learnable: tuple[str, ...] = (*METHODS,)  # methods by which lessons determine the option
+    reason: str = ''  # why lessons with other methods do not
+    meaning: Callable[[Any], dict[str, ReferenceOption]] | None = None  # own options (only Taxi)
 
     def fits(self, world: World) -> bool:
-        """Return whether there are such lessons."""
+        """Return whether this teacher gives lessons in a world."""
         if self.meaning is not None:
             return world.domain == 'taxi'
         return world.answers or not self.needless
@@ -297,7 +297,7 @@ TEACHERS = {
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial per lesson; none with bags."""
+    """Return one trial per lesson; none if the study uses bags."""
     lessons = 0 if study.bags else study.participants
     return [
         Trial(
@@ -313,7 +313,7 @@ def trials(study: Study) -> list[Trial]:
 
 
 def share_of(world: str, kind: str) -> float:
-    """Return the share of the lessons of a row: a third where they are slow."""
+    """Return the share of lessons in a row: ``SLOW`` if slow, unlearnable or with own options."""
     teacher = TEACHERS[kind]
     slow = WORLDS[world].slow or not teacher.learnable or teacher.meaning is not None
     return SLOW if slow else 1.0
@@ -329,7 +329,7 @@ def table_rows() -> Iterator[tuple[str, str, str]]:
 
 
 def obstacle(world: str, method: str, kind: str) -> str:
-    """Return why lessons of a row do not determine the option; empty: they do."""
+    """Return the reason why lessons of a row do not determine the option; empty if they do."""
     if method not in TEACHERS[kind].learnable:
         return TEACHERS[kind].reason
     too_few = kind in WORLDS[world].too_few
@@ -338,13 +338,13 @@ def obstacle(world: str, method: str, kind: str) -> str:
 
 @cache
 def _world(name: str) -> Domain:
-    """Return the domain of a world; each process makes it once."""
+    """Return the domain of a world."""
     return make_domain(WORLDS[name].domain)
 
 
 @cache
 def _references(world: str, kind: str) -> dict[str, ReferenceOption]:
-    """Return what a kind of teacher means by the options of a world, in the order of teaching."""
+    """Return the options of a world as a kind of teacher means them, in order of teaching."""
     if meaning := TEACHERS[kind].meaning:
         return meaning(_world(world))
     found = WORLDS[world].references(_world(world))
@@ -353,14 +353,14 @@ def _references(world: str, kind: str) -> dict[str, ReferenceOption]:
 
 @lru_cache(maxsize=32)
 def _meant(world: str, kind: str, option: str, seed: int) -> Meant:
-    """Return how the teacher itself performs; each process runs it once."""
+    """Return an option as the teacher means it."""
     return meant(_world(world), _references(world, kind), option, seed)
 
 
 def answering(
     option: ReferenceOption, domain: Domain, teacher: Teacher, rng: np.random.Generator
 ) -> ReferenceOption:
-    """Return an option with the features that a teacher says it depends on."""
+    """Return an option with the features that the teacher chooses for it."""
     features = option.features
     if teacher.needless == 1.0:
         known = [feature.name for feature in domain.features]
@@ -377,11 +377,11 @@ def answering(
 
 def give_lesson(parameters: Mapping[str, Any]) -> Rows:
     """
-    Give one lesson, and run what it has taught.
+    Give one lesson, and run the options that it has taught.
 
-    :return: one row per option: learned (as the lesson says), right, right starts (their share),
-        elsewhere (share of other states in which it can start), faults (starts with each),
-        ``COSTS``, and the status in words.
+    :return: one row per option: learned (according to the lesson), right, right starts (share),
+        elsewhere (share of other states in which the option can start), faults (share of starts
+        with each), ``COSTS``, and the status in words.
     """
     world, method, kind = (parameters[key] for key in KEYS)
     lesson, teacher, domain = parameters['lesson'], TEACHERS[kind], _world(world)
@@ -446,10 +446,10 @@ def table_of(lessons: pd.DataFrame) -> pd.DataFrame:
     Return the table: one row per world, method and teacher.
 
     :param lessons: one row per option taught.
-    :return: ``KEYS``, learnable, reason (if it is not), lessons, learned (called so), right (of
-        these; low and high: Wilson's limits at 95 %; empty: none was called learned), false (share
-        of all lessons that call a wrong option learned, with limits), elsewhere (mean of those
-        called learned), and the medians of ``COSTS``.
+    :return: ``KEYS``, learnable, reason (if not learnable), lessons, learned (number called
+        learned), right (share of these, with Wilson's 95 % limits low and high; empty if none was
+        called learned), false (share of all lessons that call a wrong option learned, with
+        limits), elsewhere (mean over those called learned), and the medians of ``COSTS``.
     """
     rows = []
     for key, mine in report.grouped(lessons, KEYS):
@@ -476,7 +476,7 @@ def table_of(lessons: pd.DataFrame) -> pd.DataFrame:
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report; one row per lesson and option."""
+    """Return the report section from one row per lesson and option."""
     lessons = rows.drop(columns='trial', errors='ignore')
     lessons['faults'] = [
         ', '.join(f'{name} {share:.2g}' for name, share in faults.items())

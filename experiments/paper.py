@@ -1,8 +1,8 @@
 """
-The paper's statements and numbers, the only ones that a reproduction does not compute.
+Statements and numbers of the paper; a reproduction computes all other numbers.
 
-Subramanian, Isbell and Thomaz (2011): Learning Options through Human Interaction. The paper has no
-tables for its figures, so only statements in the text are listed.
+Subramanian, Isbell and Thomaz (2011): Learning Options through Human Interaction. The paper gives
+no tables for its figures, so only the statements in its text are listed.
 """
 
 from dataclasses import dataclass
@@ -81,9 +81,9 @@ SAID = {
 }
 NO_LEVEL = 'the paper does not say which accuracy is acceptable'
 EPISODES = 120  # figure 4
-MAX_STEPS = 300  # figure 4: upper end of its axis
+MAX_STEPS = 300  # figure 4: upper end of the axis
 CURVES = ('primitive', 'human', 'automatic')  # figure 4
-AUTOMATIC = (4, 4, 1)  # section 7.3: options that end with a pickup, with a dropoff, in a cell
+AUTOMATIC = (4, 4, 1)  # section 7.3: options that end with a pickup, a dropoff, in a cell
 FIGURE_2_OPTIONS = {  # figure 2 (a) and (b)
     'taxi': 'go to destination and dropoff',
     'pacman': 'go to the closest food',
@@ -92,7 +92,7 @@ TAUGHT = {  # section 7: options taught by each participant
     'taxi': ('go to passenger and pickup', 'go to destination and dropoff'),
     'pacman': ('go to the closest food', 'avoid ghost', 'go to the nearest power pellet'),
 }
-ALSO_NAMED = {  # table 1: a button named, but not taught in section 7
+ALSO_NAMED = {  # table 1: buttons named, but not taught in section 7
     'pacman': ('eat the ghost',),
 }
 NOT_NAMED = {  # buttons missing from table 1

@@ -5,9 +5,9 @@ There are two groups of simulated participants, since the paper makes two kinds 
 *Careful* people make no errors; they differ only in their preference among equally good actions.
 *Varied* people also differ in their error rates (share of wrong steps, from 0 to ``MAX_ERRORS``)
 and in their rates of needless answers (probability of answering yes to a question about an
-irrelevant feature, from 0 to ``MAX_NEEDLESS``). So that a handful of people covers both ranges,
-their rates are a quasirandom sequence with a random offset, which fills a square evenly (Roberts
-2018, The unreasonable effectiveness of quasirandom sequences: R2).
+irrelevant feature, from 0 to ``MAX_NEEDLESS``). Their rates follow a quasirandom sequence with a
+random offset, which fills a square evenly with any number of people (Roberts 2018, The
+unreasonable effectiveness of quasirandom sequences: R2).
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,10 +51,10 @@ class Participant:
     code: str
     error_rate: float  # share of wrong steps
     needless_rate: float  # probability of a needless yes for each feature
-    seed: int  # of the study
+    seed: int  # seed of the study
 
     def teaching(self, *options: str) -> TeacherSettings:
-        """Return the settings of this person as a teacher of some options."""
+        """Return the teacher settings of this person for some options."""
         return TeacherSettings(
             options=options,
             participant=self.code,
@@ -67,7 +67,7 @@ class Participant:
 
 
 def participants(group: str, count: int, seed: int) -> list[Participant]:
-    """Draw the first people of a group; a larger count does not change the first ones."""
+    """Draw people of a group; a larger count adds people without changing the others."""
     offsets = generator(seed, 'participants', group).uniform(size=2).tolist()
     found = []
     for number in range(1, count + 1):
@@ -87,8 +87,8 @@ class BagLesson:
     option: str
     domain: str
     domain_parameters: str  # JSON object
-    strategy: str  # of start states
-    seed: int  # of the lesson
+    strategy: str  # for start states
+    seed: int  # seed of the lesson
     digest: str  # of the uuids of the demonstrations
 
 
@@ -96,9 +96,9 @@ class BagLesson:
 class Study:
     """The size of a reproduction and its people."""
 
-    participants: int = 6  # simulated, in each group
+    participants: int = 6  # simulated people in each group
     seeds: int = 10  # runs of each method with random draws
-    seed: int = 1  # of every random draw
+    seed: int = 1  # seed of every random draw
     bags: tuple[BagLesson, ...] = ()  # lessons of real people; none: people are simulated
     mazes: tuple[str, ...] = ()  # the user's mazes as text, for ``transfer``; empty: draw mazes
 
@@ -140,7 +140,7 @@ def taught_in(bag: Bag, domain: Domain) -> dict[tuple[str, str], list[Demonstrat
 class OwnedOptions:
     """Options and the cost of obtaining them; None: not a cost of this kind of owner."""
 
-    options: tuple[Any, ...] = ()  # learned, or the form of an extraction for the domain's planner
+    options: tuple[Any, ...] = ()  # learned, or automatic in the form for the domain's planner
     minutes: float | None = None  # teaching time: measured, or assumed for simulated people
     seconds: float | None = None  # processor time of an extraction or another learner
     game_steps: int | None = None
@@ -163,8 +163,8 @@ def owners(study: Study, domain: str) -> dict[str, list[dict[str, Any]]]:
     Return the owners of the options of an experiment: equal numbers of people, extractions and
     repetitions without options.
 
-    :return: parameters of ``options_of`` by kind of owner, JSON data. People are those in bags,
-        otherwise varied simulated ones; empty if people in bags taught another domain.
+    :return: parameters for ``options_of`` as JSON data, by kind of owner. The people are those in
+        bags, or varied simulated people; none if the people in bags taught another domain.
     """
     if study.bags:
         digests: dict[tuple[str, str, int], list[str]] = {}
@@ -199,7 +199,7 @@ def options_of(
     """
     Return the options of one owner; simulated people teach until the options are learned.
 
-    :param owner: one of ``owners``.
+    :param owner: parameters of one owner, from ``owners``.
     :param names: options taught by a simulated person; empty: those of the paper.
     """
     if 'extraction' in owner:
@@ -217,7 +217,7 @@ def options_of(
 
 @lru_cache(maxsize=64)
 def extraction(domain: str, parameters: str, seed: int) -> AutomaticOptions:
-    """Return the automatic options of a domain; each process computes them once."""
+    """Return the automatic options of a domain."""
     return find_options(domain_from_json(domain, parameters), seed, clock=CLOCK)
 
 
@@ -225,7 +225,7 @@ def extraction(domain: str, parameters: str, seed: int) -> AutomaticOptions:
 def _from_lesson(
     person: Participant, domain: str, parameters: str, names: tuple[str, ...]
 ) -> OwnedOptions:
-    """Return the options of a simulated person; each process runs each lesson once."""
+    """Return the options of a simulated person."""
     rules = LessonRules(seed=person.seed)
     taught = teach(domain_from_json(domain, parameters), person.teaching(*names), rules)
     return OwnedOptions(taught.options, taught.seconds / 60, shown=tuple(taught.demonstrations))

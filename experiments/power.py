@@ -1,15 +1,14 @@
 """
-Statistical power of a study: how many participants show which effect, by simulation over teachers.
+Statistical power of a study by number of participants and effect size, with simulated teachers.
 
-In a trial, one simulated person, who makes errors and gives needless answers at a rate of their
-own, teaches the two Taxi options of the paper several times, each time from other start states. So
-the lessons differ between people and within a person as far as these teachers do.
+In a trial, one simulated person with individual rates of errors and needless answers teaches the
+two Taxi options of the paper several times, each time from different start states. The lessons
+thus vary between people and within a person, but only as far as these teachers do.
 
-Studies are then drawn from these people: in one condition, everything that a lesson costs is
-lower by a given share. *Within* people, everyone meets both conditions in balanced order, in two
-different lessons; *between* people, half of them meet each condition. An effect is found if the
-95 % interval of the model of ``study report`` excludes zero. Power is the share of studies that
-find it.
+Studies are then drawn from these people: one condition lowers the outcome by a given share. In a
+*within* design, each person has both conditions in balanced order, in two different lessons. In a
+*between* design, half of the people have each condition. An effect is found if the 95 % interval
+of the model of ``study report`` excludes zero. Power is the share of studies that find the effect.
 """
 
 from collections.abc import Mapping
@@ -35,18 +34,18 @@ from experiments.trials import Rows, Trial
 NAME = 'power'
 TITLE = 'How many participants a study needs'
 LESSONS = 24  # simulated people
-RUNS = 3  # lessons of each person
+RUNS = 3  # lessons per person
 OUTCOMES = {'demonstrations': 'demonstrations', 'minutes': 'minutes of teaching'}
 EFFECTS = (0.0, 0.1, 0.2, 0.3, 0.5)  # share by which a condition lowers the outcome
 PEOPLE = (4, 6, 8, 12, 16, 24, 32, 48, 64)
 DESIGNS = ('within', 'between')
-STUDIES = 4000  # drawn for each power
-WANTED = 0.8  # usual power of a study (Cohen 1988)
+STUDIES = 4000  # studies drawn for each power
+WANTED = 0.8  # conventional power of a study (Cohen 1988)
 LEVEL = 0.95
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial per simulated person; none with bags."""
+    """Return one trial per simulated person; none if the study uses bags."""
     people = [] if study.bags else participants(VARIED, study.participants, study.seed)
     return [Trial(NAME, {'person': asdict(person)}, give_lessons, 15.0) for person in people]
 
@@ -74,7 +73,7 @@ def power(
 
     :param lessons: outcome of each lesson, (people, runs).
     :param effect: share by which the second condition lowers the outcome.
-    :param people: even number of participants of each study.
+    :param people: number of participants in each study, even.
     :param design: one of ``DESIGNS``.
     """
     who = rng.integers(len(lessons), size=(STUDIES, people))
@@ -88,8 +87,8 @@ def power(
         mean, error, free = samples[1].mean(axis=1) - samples[0].mean(axis=1), 0.0, people - 2
         error = scale * np.sqrt(2 / half)
     else:
-        # In complete balanced data, the mixed model with condition and position has the interval
-        # of the two orders' mean differences.
+        # For complete, balanced data, the mixed model with condition and position gives the
+        # interval of the mean difference, averaged over the two orders.
         orders = np.split(changed - plain, [half], axis=1)
         mean, free = sum(each.mean(axis=1) for each in orders) / 2, people - 2
         variance = sum(each.var(axis=1, ddof=1) for each in orders) / 2
@@ -99,7 +98,7 @@ def power(
 
 
 def power_table(lessons: pd.DataFrame, seed: int = 1) -> pd.DataFrame:
-    """Return a row for each outcome, design, effect and number of people, with the power."""
+    """Return the power by outcome, design, effect and number of people, one row each."""
     rows = list[dict[str, Any]]()
     for outcome, words in OUTCOMES.items():
         values = lessons.pivot(index='person', columns='run', values=outcome).to_numpy(float)
@@ -121,7 +120,7 @@ def power_table(lessons: pd.DataFrame, seed: int = 1) -> pd.DataFrame:
 
 
 def needed_table(powers: pd.DataFrame) -> pd.DataFrame:
-    """Return the smallest number of people with a power of ``WANTED``, by effect."""
+    """Return the smallest number of people with a power of at least ``WANTED``, by effect."""
     rows = list[dict[str, Any]]()
     for (outcome, design), own in report.grouped(powers, ['outcome', 'design']):
         row: dict[str, Any] = {'outcome': outcome, 'design': design}
@@ -133,7 +132,7 @@ def needed_table(powers: pd.DataFrame) -> pd.DataFrame:
 
 
 def spread_table(lessons: pd.DataFrame) -> pd.DataFrame:
-    """Return mean and standard deviations of the outcomes, between and within people."""
+    """Return mean and standard deviations, between and within people, of each outcome."""
     rows = list[dict[str, Any]]()
     for outcome, words in OUTCOMES.items():
         values = lessons.pivot(index='person', columns='run', values=outcome).to_numpy(float)
@@ -152,7 +151,7 @@ def spread_table(lessons: pd.DataFrame) -> pd.DataFrame:
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report."""
+    """Return the report section."""
     powers = power_table(rows)
     needed = needed_table(powers)
     return report.Section(

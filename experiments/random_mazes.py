@@ -1,10 +1,10 @@
 """
-Random mazes, on which nothing was tuned.
+Random mazes for tests of transfer; nothing was tuned on them.
 
 Junctions lie on every second row and column of the left half. A random depth-first spanning tree
 joins them; then every dead end is opened, and the left half is mirrored to the right. Two or more
-rows cross the middle column, so that there are loops. All open cells are connected, and only
-crossings may have fewer than two neighbours.
+rows cross the middle column, so that there are loops. All open cells are connected, and each has
+at least two open neighbours.
 """
 
 from humanopts_env.domains.pacman.maze import (
@@ -19,7 +19,7 @@ from humanopts_env.domains.pacman.maze import (
 )
 import numpy as np
 
-ROWS, JUNCTIONS = (7, 9, 11), (4, 5, 6)  # inside the border; junctions per row of the left half
+ROWS, JUNCTIONS = (7, 9, 11), (4, 5, 6)  # without the border; junctions per row of the left half
 CROSSINGS = 2  # minimum number of rows that cross the middle
 _AROUND = ((-2, 0), (0, -2), (0, 2), (2, 0))
 

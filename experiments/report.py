@@ -33,11 +33,11 @@ OURS = 'goal of this project'
 
 
 class Mark(Enum):
-    """Comparison of a result with a claim."""
+    """The verdict on a claim."""
 
     AGREES = 'agrees'
     DIFFERS = 'does not agree'
-    UNDECIDED = 'not distinguishable'  # the interval is inconclusive, or there is none
+    UNDECIDED = 'not distinguishable'  # the interval is inconclusive or missing
     NOT_COMPARABLE = 'not comparable'
     NO_COUNTERPART = 'no counterpart'  # nothing comparable is computed here
     MET = 'met'  # a goal of this project, not of the paper
@@ -76,7 +76,7 @@ def compare(
     :param case: case to which the values belong.
     :param values: values that decide the claim, by name.
     :param style: format of the values, see ``written``.
-    :param why: explanation, placed after the values.
+    :param why: explanation that follows the values.
     """
     statement = Statement(claim, OURS) if isinstance(claim, str) else claim
     if not isinstance(verdict, Mark):
@@ -92,7 +92,7 @@ def written(value: Interval | float | str, style: str = '') -> str:
     """
     Format a value, with its limits if it has any.
 
-    :param style: number format; empty: four digits, and above 100 all digits before the point.
+    :param style: number format; empty: four significant digits; no decimals from 100 on.
     """
     if isinstance(value, str):
         return value
@@ -108,7 +108,7 @@ class Picture:
     """One figure, drawn for the page and for files."""
 
     name: str  # of the files, without suffix
-    caption: str  # also the text alternative for screen readers
+    caption: str  # also the alternative text for screen readers
     size: tuple[float, float]  # inches
     draw: Callable[[Drawing], None]  # uses the series colours C0, C1, ...
 
@@ -122,7 +122,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Table:
-    """A table on the page and as a CSV file; a missing value is an empty field."""
+    """A table on the page and in a CSV file; a missing value is an empty field."""
 
     name: str  # of the file, without suffix
     title: str
@@ -137,7 +137,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """The part of the report about one figure or table of the paper."""
+    """The part of the report about one experiment."""
 
     name: str
     title: str
@@ -152,7 +152,7 @@ class Reproduction:
     """The content of the page."""
 
     sections: Sequence[Section]
-    people: Sequence[Participant]  # empty: the people in bags taught
+    people: Sequence[Participant]  # simulated teachers; empty: the teachers are in bags
     study: Study
     missing: Sequence[str]  # failed trials, in words
     provenance: Mapping[str, str]
@@ -170,8 +170,8 @@ def mean_intervals(
 
     :param by: columns to group by; the rows of a group are averaged.
     :param least: smallest possible value; limits are clipped to ``least`` and ``most``.
-    :return: ``by``, count (of values that are not NaN), mean, low, high; NaN if undefined, like
-        the limits of a single value.
+    :return: ``by``, count (of values that are not NaN), mean, low, high; undefined numbers, such
+        as the limits for a single value, are NaN.
     """
     groups = frame.groupby(list(by), sort=False)[value]
     found = groups.agg('count').to_frame('count')
@@ -186,7 +186,7 @@ def mean_intervals(
 def grouped(
     frame: pd.DataFrame, by: Sequence[str]
 ) -> Iterator[tuple[tuple[str, ...], pd.DataFrame]]:
-    """Yield the groups of rows with equal text columns, in order of first appearance."""
+    """Yield the groups of rows that agree in text columns, in order of first appearance."""
     groups: Any = frame.groupby(list(by), sort=False)
     yield from groups
 
@@ -204,7 +204,7 @@ def draw_curves(
 
     :param curves: columns ``by``, ``x``, mean, low, high; one curve per value of ``by``.
     :param lines: matplotlib format of each curve (colour, line, marker), such as ``C1--o``.
-    :param style: common style of all curves.
+    :param style: matplotlib style of all curves.
     """
     for (name,), curve in grouped(curves, [by]):
         axes.plot(curve[x], curve['mean'], lines[name], label=name, **style)
@@ -226,8 +226,8 @@ def draw_samples(
     """
     Draw single values as dots, one row of the figure per value of ``by``.
 
-    :param series: column of series; each value has its own colour and offset.
-    :param centre: function from the values of a series to its bar and limits.
+    :param series: column with the name of the series; each has its own colour and offset.
+    :param centre: function from the values of a series to the mean and limits that its bar shows.
     :param style: style of the dots.
     """
     names, several = list(rows[by].unique()), list(rows[series].unique())
@@ -287,7 +287,7 @@ def verdicts(sections: Sequence[Section]) -> dict[tuple[str, str, str], Counter[
 
 
 def page_of(data: Reproduction) -> str:
-    """Return the page."""
+    """Return the page as HTML."""
     marks = Counter(c.mark for section in data.sections for c in section.comparisons)
     findings = [
         *(Finding(mark.good, f'{mark.value}: {marks[mark]}') for mark in Mark if mark in marks),

@@ -1,20 +1,21 @@
 """
-Whether a learned option is right: from which starts it does what its teacher meant.
+Check whether a learned option is right, that is, behaves as its teacher meant.
 
-*Right from a start*: the option can start there, and its run ends in the first state in which the
-teacher's run would end, with the end that the teacher meant, within ``SLOWER`` times the teacher's
-steps. *An option is right* if it is right from at least ``SHARE`` of the starts of its reference
-option. How often it can start where the reference cannot is measured beside it.
+An option is *right from a start* if it can start there and its run ends in the first state in
+which the teacher's run would end, with the end that the teacher meant, within ``SLOWER`` times the
+teacher's steps. An option is *right* if it is right from at least ``SHARE`` of the starts of its
+reference option. The share of other states in which it can start is measured as well.
 
-Where chance matters, the probability of such a run must be at least ``SHARE`` of that of the
-teacher's own runs, and its mean number of steps at most ``SLOWER`` times the teacher's; a run may
-go on where only chance led to an end. Where all states can be listed, both follow from the
-transitions, exactly and from every start. In Pac-Man, the probability is the share of ``RUNS``
-runs from each of ``STARTS`` sampled starts, with the same random numbers as the teacher's runs,
-and no run may be longer than ``SLOWER`` times the longest of these. A start counts as wrong if the
-difference is significant (McNemar 1947, one-sided, 5 %), and the mean share over the starts that
-count as right must be at least ``SHARE`` of the teacher's. In a replayed environment, the seed of
-a start determines the run; the starts are those that the teacher reaches from resets of the task.
+In a domain with chance, the probability of such a run must be at least ``SHARE`` of that of the
+teacher's runs, and its mean number of steps at most ``SLOWER`` times the teacher's. A run may
+continue at an end that only chance leads to. Where all states can be listed, both numbers are
+computed exactly from the transitions, for every start. In Pac-Man, the probability is the share in
+``RUNS`` runs from each of ``STARTS`` sampled starts, with the same random numbers as the teacher's
+runs. No run may be longer than ``SLOWER`` times the teacher's longest right run from there. A
+start counts as wrong if the difference is significant (McNemar 1947, one-sided, 5 %), and the mean
+share over the right starts must be at least ``SHARE`` of the teacher's. In a replayed environment,
+the seed of a start determines the run, and the starts are those that the teacher reaches after
+resets.
 """
 
 from collections import defaultdict
@@ -51,20 +52,20 @@ STARTS, RUNS = 200, 20
 REPLAYED = 100  # starts in a replayed environment
 ONE_SIDED = 1.645  # standard errors that chance exceeds in 5 of 100 cases
 NAME = 'right'  # key of random draws
-LONGEST = 1000  # steps of a teacher's run, if the domain has no limit
+LONGEST = 1000  # maximum steps of a teacher's run if the domain has no limit
 
 
 class Ending(IntEnum):
-    """How a run of an option ends."""
+    """The way in which a run of an option ends."""
 
     RIGHT = 0  # where the teacher ends, as meant
-    EARLY = 1  # where the teacher would go on
-    LATE = 2  # it went on where the teacher would have ended
-    OTHER = 3  # where the teacher would end, too, but not as meant; or the task is over
+    EARLY = 1  # where the teacher would continue
+    LATE = 2  # the option continued where the teacher would have ended
+    OTHER = 3  # where the teacher would end too, but not as meant, or the task is over
     NEVER = 4  # not within its step limit
 
 
-ON = -1  # the run goes on
+ON = -1  # the run continues
 
 
 @dataclass(frozen=True)
@@ -73,14 +74,12 @@ class Performance:
 
     can_start: Flags  # (N,)
     endings: Floats  # (N, E) share of the runs with each ``Ending``
-    steps: (
-        Floats  # (N,) mean number of steps of the right runs, in a sample the largest; NaN: none
-    )
-    doubt: Floats | float = 0.0  # (N,) difference from the teacher that chance explains
-    elsewhere: float = 0.0  # share of the other states in which it can start, too
+    steps: Floats  # (N,) number of steps of right runs: mean, or maximum in a sample; NaN: none
+    doubt: Floats | float = 0.0  # (N,) difference from the teacher that chance can explain
+    elsewhere: float = 0.0  # share of other states in which it can start
 
     def right(self, teacher: 'Performance') -> Flags:
-        """Return (N,): whether it is right from each start, by the teacher's own performance."""
+        """Return (N,) whether the option is right from each start, given the teacher's runs."""
         often = self.share + self.doubt >= SHARE * teacher.share
         return self.can_start & often & (self.steps <= SLOWER * teacher.steps)
 
@@ -96,7 +95,7 @@ class Performance:
         return self.endings[:, Ending.RIGHT]
 
     def faults(self, teacher: 'Performance') -> dict[str, float]:
-        """Return the share of starts with each fault; those that are right have none."""
+        """Return the share of starts with each fault; right starts have none."""
         right = self.right(teacher)
         names = np.array(['refused', 'slow', *(each.name.lower() for each in Ending)])
         worst = 2 + self.endings[:, 1:].argmax(axis=1) + 1
@@ -108,12 +107,12 @@ class Performance:
 
 def ending_of(ends: Flags, over: Flags, meant_ends: Flags, reached: Flags) -> Ints:
     """
-    Return (N,): the ``Ending`` of runs that are in N states after a step, or ``ON``.
+    Return (N,) the ``Ending`` of N runs after a step, or ``ON`` if a run continues.
 
-    :param ends: (N,) the option ends there.
-    :param over: (N,) the task is over.
-    :param meant_ends: (N,) the teacher ends there.
-    :param reached: (N,) the teacher ends there, as meant.
+    :param ends: (N,) whether the option ends in the state reached.
+    :param over: (N,) whether the task is over.
+    :param meant_ends: (N,) whether the teacher ends there.
+    :param reached: (N,) whether the teacher ends there as meant.
     """
     stops = ends | over
     found = np.full(len(ends), ON)
@@ -124,27 +123,27 @@ def ending_of(ends: Flags, over: Flags, meant_ends: Flags, reached: Flags) -> In
     return found
 
 
-# Worlds whose states can be listed.
+# Enumerable domains.
 
 
 def chain(
     domain: EnumerableDomain, option: TabularOption, reference: TabularReferenceOption
 ) -> Performance:
-    """Return the performance from each of the S states, exact, by forward recursion."""
+    """Return the exact performance from each of S states, by recursion over the steps left."""
     table, over, states = domain.transitions(), domain.over(), np.arange(domain.n_states)
     ending = ending_of(option.termination, over, reference.termination, reference.goal)
-    if not table.deterministic:  # where chance led to another end, going on may be as good
+    if not table.deterministic:  # where chance led to another end, continuing may be as good
         ending[(ending == Ending.LATE) & ~reference.goal] = ON
     successor, chance = (
         part[states, option.action].astype(kind)
         for part, kind in ((table.successor, np.intp), (table.probability, float))
     )
-    ended = np.zeros((domain.n_states, len(Ending)))  # of runs that have just come to a state
+    ended = np.zeros((domain.n_states, len(Ending)))  # of runs that have just reached a state
     ended[np.flatnonzero(ending != ON), ending[ending != ON]] = 1.0
     on = (ending == ON)[:, None]
     shares, total = np.zeros_like(ended), np.zeros(domain.n_states)
     for _ in range(option.max_steps):
-        after = ended + on * shares  # within the steps that are left
+        after = ended + on * shares  # within the remaining steps
         new = np.einsum('sb,sbe->se', chance, after[successor])
         later = (total + shares[:, Ending.RIGHT]) * on[:, 0] + ended[:, Ending.RIGHT]
         new_total = (chance * later[successor]).sum(axis=1)
@@ -158,16 +157,16 @@ def chain(
 
 
 class Meant(Protocol):
-    """What a teacher means by an option in a domain."""
+    """An option of a domain, as its teacher means it."""
 
-    teacher: Performance  # of the teacher itself
+    teacher: Performance  # the teacher's own
 
     def performance(self, option: Option) -> Performance:
         """Run an option from the same starts."""
 
 
 class MeantEverywhere:
-    """What a teacher means in a domain whose states can be listed."""
+    """An option of an enumerable domain, as its teacher means it."""
 
     def __init__(
         self, domain: EnumerableDomain, reference: TabularReferenceOption | StartDependent
@@ -203,16 +202,16 @@ class MeantEverywhere:
         )
 
 
-# Other worlds.
+# Other domains.
 
 
 class MeantInSample:
-    """What a teacher means in a domain of which only a sample of starts is played."""
+    """An option of another domain, as its teacher means it, from a sample of starts."""
 
     def __init__(
         self, domain: Domain, references: Mapping[str, ReferenceOption], name: str, seed: int
     ) -> None:
-        """Draw the starts, and run the teacher from there."""
+        """Draw the starts, and run the teacher from each."""
         self._domain, self._reference, self._seed = domain, references[name], seed
         self._starts, self._others = list[Any](), list[Any]()
         self._replayed, self._runs = isinstance(domain, ReplayedDomain), 1
@@ -242,7 +241,7 @@ class MeantInSample:
             lambda games: judge_games(self._reference, games).optimal.argmax(axis=1),
             lambda games: _ends(self._reference, games)[0],
         )
-        sure = (ending == Ending.RIGHT).any(axis=0)  # from elsewhere even the teacher fails
+        sure = (ending == Ending.RIGHT).any(axis=0)  # from the other starts even the teacher fails
         self._starts = list(compress(self._starts, sure))
         ending, steps_taken = ending[:, sure], steps_taken[:, sure]
         self.teacher = _summary(np.ones(len(self._starts), bool), ending, steps_taken)
@@ -267,9 +266,9 @@ class MeantInSample:
     def _play(
         self, act: Callable[[Games], Ints], ends: Callable[[Games], Flags]
     ) -> tuple[Ints, Ints]:
-        """Return the ending and the steps of each run, (R, N) each."""
+        """Return the ending and the steps of R runs from each of N starts, (R, N) each."""
         states, limits = self._starts * self._runs, np.tile(self._limits, self._runs)
-        # Games of a replayed domain do not keep the world of each state, which the teacher sees.
+        # For a replayed domain, games_at does not keep the worlds that the reference option needs.
         games: Games = (
             StateGames(self._domain, states) if self._replayed else games_at(self._domain, states)
         )
@@ -291,8 +290,8 @@ def _summary(can_start: Flags, ending: Ints, steps: Ints) -> Performance:
     """
     Return the performance in R runs from each of N starts.
 
-    :param ending: (R, N).
-    :param steps: (R, N).
+    :param ending: (R, N) ``Ending`` of each run.
+    :param steps: (R, N) number of steps of each run.
     """
     right = ending == Ending.RIGHT
     endings = np.stack([(ending == each).mean(axis=0) for each in Ending], axis=1)
@@ -301,7 +300,7 @@ def _summary(can_start: Flags, ending: Ints, steps: Ints) -> Performance:
 
 
 def _ends(reference: ReferenceOption, games: Games) -> tuple[Flags, Flags]:
-    """Return (N,) each: whether the teacher ends in a game, and whether as meant."""
+    """Return whether the teacher ends in each game, and whether as meant, (N,) each."""
     if isinstance(reference, PacManOption):
         assert isinstance(games, PacManGames)
         return reference.judge(games.batch).termination, reference.goal(games.batch)
@@ -311,7 +310,7 @@ def _ends(reference: ReferenceOption, games: Games) -> tuple[Flags, Flags]:
 
 
 def meant(domain: Domain, references: dict[str, ReferenceOption], name: str, seed: int) -> Meant:
-    """Return what a teacher means by an option."""
+    """Return an option as its teacher means it."""
     reference = references[name]
     if is_enumerable(domain):
         assert isinstance(reference, TabularReferenceOption | StartDependent)

@@ -1,17 +1,18 @@
 """
-Options taught to a robot: a simulated rover in a house of two rooms.
+Options taught to a robot: a simulated rover in a house with two rooms.
 
-This goes beyond the paper. The rover of ``examples/humanopts_rover`` can only be acted in: the
-learner sees the features of its world file, but neither rules nor states. A simulated person
-places it, shows the option, and steers with hysteresis: turns until the rover points well, then
-drives until it does not, or until a wall stops it. A share of the steps are slips. So equal
-situations have different actions, and no option can repeat a demonstration step by step.
+This goes beyond the paper. The learner sees only the features of the world file of
+``examples/humanopts_rover``, neither rules nor states. A simulated person places the rover,
+demonstrates the option, and steers with hysteresis: they turn until the rover points in the right
+direction, then drive until it does not, or until a wall stops it. A share of the steps are slips.
+Equal situations thus have different actions, and no option can repeat a demonstration exactly.
 
-From the third demonstration on, the option is examined: the person watches runs, and shows the
-option next from where one went wrong. After an exam was passed, they watch ``WATCHED`` runs before
-each further demonstration. *Learned* is the number of demonstrations when an exam was first
-passed. A run is right if it stops where the person would call it right, within ``SLOWER`` times
-the steps that the person needs without slips; *success* is the share from unseen places.
+From the third demonstration on, the option has an exam: the person watches runs, and gives the
+next demonstration from where a run went wrong. Once an exam has been passed, they watch at most
+``WATCHED`` runs before each further demonstration. *Learned* is the number of demonstrations at
+the first passed exam. A run is right if it stops where the person would call it right, within
+``SLOWER`` times the steps that the person needs without slips. *Success* is the share of right
+runs from unseen places.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -52,9 +53,9 @@ TITLE = 'Options taught to a robot'
 LESSONS = 20
 SLIPS = 0.03  # share of the person's steps that are errors
 SLOWER = 2.0
-PLACES_TRIED = 50  # unseen
-WATCHED = 5  # runs before a demonstration, once learned
-LIMIT = 400  # steps of a run
+PLACES_TRIED = 50  # unseen places for measuring success
+WATCHED = 5  # maximum runs before a demonstration, once learned
+LIMIT = 400  # maximum steps of a run
 MODELS = TREES, FOREST
 KEYS = ['option', 'model']
 COST = 10.0  # approximate processor seconds of a trial
@@ -66,26 +67,26 @@ DOMAIN = WORLD.domain
 
 
 def _towards(rover: Simulation, to: Sequence[float]) -> float:
-    """Return the bearing of a point."""
+    """Return the bearing of a point from a rover, rad."""
     x, y, yaw = rover.pose
     return turn(math.atan2(to[1] - y, to[0] - x) - yaw)
 
 
 def _room(ranges: Floats, sector: tuple[float, float]) -> float:
-    """Return the shortest range in a sector, m."""
+    """Return the shortest range in a sector (in degrees), m."""
     angles = np.linspace(-180.0, 180.0, len(ranges), endpoint=False)
     return float(ranges[(angles >= sector[0]) & (angles <= sector[1])].min())
 
 
 def sensed(rover: Simulation) -> tuple[float, ...]:
-    """Return the features (F,) of where a rover is, as it senses them."""
+    """Return the features (F,) that a rover senses at its pose."""
     sensors = Sensors(WORLD.file.topics)
     for name, message in messages.sensed(rover).items():
         sensors.note(name, message, 0.0)
     return WORLD.sense(sensors).features
 
 
-# What the person means.
+# Options as the person means them.
 
 _EXACT = Simulation(noise=False)
 
@@ -96,11 +97,11 @@ class Skill:
 
     features: tuple[str, ...]
     can_start: Callable[[Simulation], bool]
-    steer: Callable[[Simulation], float]  # the bearing to keep, rad; near 0: drive
-    done: Callable[[Simulation], bool]  # the person stops here
-    right: Callable[[Simulation], bool]  # and calls this a right end of a run
-    shown: int  # most demonstrations
-    goal: float  # lowest success after these
+    steer: Callable[[Simulation], float]  # bearing to turn to, rad; near 0: drive
+    done: Callable[[Simulation], bool]  # whether the person would stop here
+    right: Callable[[Simulation], bool]  # whether the person would accept this end of a run
+    shown: int  # maximum number of demonstrations
+    goal: float  # minimum success after these
 
 
 def _exact(rover: Simulation) -> Floats:
@@ -110,7 +111,7 @@ def _exact(rover: Simulation) -> Floats:
 
 
 def _wall_bearing(rover: Simulation) -> float:
-    """Return where to turn to keep a wall on the right: less than half a metre away."""
+    """Return the bearing that keeps a wall on the right, 0.5 to 0.8 m away diagonally ahead."""
     ranges = _exact(rover)
     diagonal = _room(ranges, RIGHT_AHEAD)
     if diagonal < 0.5:
@@ -119,7 +120,7 @@ def _wall_bearing(rover: Simulation) -> float:
 
 
 def _outer_wall_distance(rover: Simulation) -> float:
-    """Return how far an outer wall is on the right; infinite: something else is there."""
+    """Return the distance of an outer wall on the right; infinite if something else is there."""
     room, to = _room(_exact(rover), ON_THE_RIGHT), rover.pose.yaw - math.pi / 2
     x, y = rover.pose.x + room * math.cos(to), rover.pose.y + room * math.sin(to)
     gap = min(x, y, WIDTH - x, HEIGHT - y)
@@ -127,7 +128,7 @@ def _outer_wall_distance(rover: Simulation) -> float:
 
 
 def _dock_bearing(rover: Simulation) -> float:
-    """Return where to turn to get into the dock, and then to look as it does."""
+    """Return the bearing that leads into the dock or, once there, aligns the rover with it."""
     dock, pose = PLACES['dock'], rover.pose
     if math.dist(pose[:2], dock[:2]) < 0.15:
         return turn(dock.yaw - pose.yaw)
@@ -187,7 +188,7 @@ SKILLS = {
 
 
 class Person:
-    """Drives the rover in one demonstration, with hysteresis and slips."""
+    """The person who drives the rover in one demonstration, with hysteresis and slips."""
 
     def __init__(self, skill: Skill, slips: float, rng: np.random.Generator) -> None:
         self._skill, self._slips, self._rng, self._turning = skill, slips, rng, False
@@ -206,7 +207,7 @@ class Person:
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial per lesson, option and model; none with bags."""
+    """Return one trial per lesson, option and model; none if the study uses bags."""
     lessons = 0 if study.bags else study.participants
     return [
         Trial(
@@ -226,19 +227,19 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
     Teach an option once, with as many demonstrations as its goal allows.
 
     :return: one row: success, learned (demonstrations; 0: no exam was passed), success when
-        learned, exam answers until then, agreement and termination (values of the criteria).
+        learned, exam answers (until then), agreement and termination (values of the criteria).
     """
     name, model, lesson = (parameters[key] for key in ('option', 'model', 'lesson'))
     skill, seed = SKILLS[name], parameters['seed']
     rng = generator(seed, NAME, name, lesson)
     rover = Simulation(int(rng.integers(2**31)))
     demos, learned, answers, failed, early = list[Demonstration](), 0, 0, 0, math.nan
-    right = True  # where the newest run that was watched ended
+    right = True  # whether the last watched run was right
     while len(demos) < skill.shown:
         if right or skill.done(rover):
             _place(rover, skill)
         if (shown := _show(rover, name, model, len(demos) + 1, rng)) is None:
-            right = True  # begin somewhere else
+            right = True  # start somewhere else
             continue
         demos.append(shown)
         if len(demos) < MIN_HELD_OUT:
@@ -285,7 +286,7 @@ def _act(rover: Simulation, action: str) -> None:
 def _show(
     rover: Simulation, name: str, model: str, number: int, rng: np.random.Generator
 ) -> Demonstration | None:
-    """Return a demonstration from where the rover is; None: it did not reach its end."""
+    """Return a demonstration from the rover's pose; None if it did not reach the end."""
     person, states = Person(SKILLS[name], SLIPS, rng), [_state(rover, 0, '')]
     while len(states) <= LIMIT:
         action = person.action(rover)
@@ -307,9 +308,9 @@ def _state(rover: Simulation, step: int, action: str) -> Transition:
 
 
 def _try(rover: Simulation, option: Option, skill: Skill) -> bool:
-    """Run an option from a new place; return whether the run is right, in time."""
+    """Run an option from a new place; return whether the run is right within its step limit."""
     steps = LIMIT
-    while steps == LIMIT:  # where the person fails, there is no end to reach
+    while steps == LIMIT:  # skip places from which even the person fails
         _place(rover, skill)
         start, steps, person = rover.pose, 0, Person(skill, 0.0, np.random.default_rng(0))
         while steps < LIMIT and not (steps and skill.done(rover)):
@@ -326,13 +327,13 @@ def _try(rover: Simulation, option: Option, skill: Skill) -> bool:
 
 
 def success(option: Option, skill: Skill, seed: int, lesson: int) -> float:
-    """Return the share of unseen places, other ones in each lesson, from which it succeeds."""
+    """Return the share of right runs from unseen places, which differ between lessons."""
     rover = Simulation(int(generator(seed, NAME, 'unseen', lesson).integers(2**31)))
     return sum(_try(rover, option, skill) for _ in range(PLACES_TRIED)) / PLACES_TRIED
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report; one row per lesson."""
+    """Return the report section from one row per lesson."""
     lessons = rows.drop(columns='trial', errors='ignore')
     table = report.mean_intervals(lessons, KEYS, 'success', 0.0, 1.0).rename(
         columns={'count': 'lessons', 'mean': 'success'}

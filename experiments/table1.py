@@ -1,7 +1,7 @@
 """
 Table 1: the buttons requested by people (section 4).
 
-Nothing is computed, since simulated people have no wishes. The section explains this and lists
+Nothing is computed, since simulated people request nothing. The section explains this and lists
 where the paper's buttons are taught here. ``humanopts bag table1`` counts the options named by
 people in lessons.
 """
@@ -37,7 +37,7 @@ def present() -> Section:
 
 
 def _taught(domain: str, button: str) -> str:
-    """Return text on where a button of the paper is taught as an option."""
+    """Describe where a button of the paper is taught as an option."""
     if button in paper.TAUGHT[domain]:
         return 'taught in figure 2 and table 2'
     if button in paper.ALSO_NAMED.get(domain, ()):

@@ -1,7 +1,7 @@
 """
 Table 2: time and return of planning with each action set (sections 7.3 and 8).
 
-The trials of the plans in ``table2_plans`` and their section of the report.
+The plans are in ``table2_plans``; this module has their trials and their section of the report.
 """
 
 from collections.abc import Iterator
@@ -43,7 +43,7 @@ TITLE = 'Table 2: planning time and return'
 COSTS = {'pacman': 100.0, 'taxi': 5.0}  # approximate processor seconds per trial
 KEYS = ['game', 'action set']
 ROUNDING = 1e-9  # reward units
-ORDER = [one.name for one in (*GAMES, *VARIANTS)]  # of rows
+ORDER = [one.name for one in (*GAMES, *VARIANTS)]  # order of rows
 Values = dict[str, Interval]  # by name
 
 
@@ -69,7 +69,7 @@ def trials(study: people.Study) -> list[Trial]:
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report."""
+    """Return the report section."""
     kinds = {
         kind: mine.dropna(axis='columns', how='all')
         for kind, mine in rows.groupby('kind', sort=False)
@@ -106,14 +106,14 @@ def present(rows: pd.DataFrame) -> report.Section:
 
 
 def _ordered(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows by game and action set."""
+    """Sort the rows by game and action set."""
     return frame.sort_values(
         KEYS, key=lambda names: names.map(ORDER.index), kind='stable', ignore_index=True
     )
 
 
 def member_table(plans: pd.DataFrame) -> pd.DataFrame:
-    """Return the mean over each member's plans, indexed by game, variant and trial."""
+    """Return the means over the plans of each member, indexed by game, variant and trial."""
     means = plans.groupby([*KEYS, 'trial']).mean(numeric_only=True)
     return _ordered(means.reset_index()).set_index([*KEYS, 'trial'])
 
@@ -126,7 +126,7 @@ def summary_table(members: pd.DataFrame) -> pd.DataFrame:
 
 
 def point_table(curve: pd.DataFrame) -> pd.DataFrame:
-    """Return each member's curve by budget; a curve that has ended keeps its last point."""
+    """Return each member's curve by budget; a shorter curve keeps its last point."""
     wide = curve.pivot(index=[*KEYS, 'budget'], columns='trial', values=[SECONDS, RETURN])
     long = wide.groupby(level=KEYS).ffill().stack('trial', future_stack=True).dropna()
     return _ordered(long.reset_index())
@@ -143,7 +143,7 @@ def cost_table(costs: pd.DataFrame) -> pd.DataFrame:
 
 
 def paper_table(summary: pd.DataFrame) -> pd.DataFrame:
-    """Return the paper's numbers and ours; for Pac-Man, those of the game with random ghosts."""
+    """Return the paper's numbers and ours; for Pac-Man, ours are those with random ghosts."""
     rows, ours = [], [SECONDS, RETURN, 'low', 'high']
     for game in (TAXI, UNIFORM):
         known = paper.TABLE_2[game.domain]
@@ -166,7 +166,7 @@ class Results:
         )
 
     def returns(self, first: str, second: str) -> tuple[str, Interval]:
-        """Return the gain in return of the first variant, paired if the owners are the same."""
+        """Return a label and the gain in return of the first variant, paired for equal owners."""
         one, other = (self.members[name].set_index('trial')[RETURN] for name in (first, second))
         paired = one.index.equals(other.index)
         more = Interval.of_difference(one, other, paired=paired)
@@ -174,11 +174,11 @@ class Results:
 
     def times(self, first: str, second: str) -> tuple[str, Interval]:
         """
-        Return the time of one variant to reach a return, as a fraction of another's time.
+        Return a label, and the time of the first variant as a fraction of the second's.
 
         Plans with exact models converge. Sampled plans use their whole budget, so they are
-        compared by the time of the first plans with the whole interval at or above a return: the
-        highest return that both reach this way. A single member has no interval: all is NaN.
+        compared by the time at the first budget where the whole interval of the return reaches a
+        level: the highest that both variants reach. NaN for a single member: it has no interval.
         """
         pair, level = (first, second), ''
         samples = [self.members[name][SECONDS] for name in pair]
@@ -214,7 +214,7 @@ CLAIMS: tuple[tuple[Statement | str, tuple[tuple[Any, str, str], ...]], ...] = (
 
 
 def _claims(results: Results) -> Iterator[report.Comparison]:
-    """Yield the comparisons for claims with results."""
+    """Yield the comparisons for the claims that have results."""
     for claim, tests in CLAIMS:
         values, verdicts = Values(), []
         for test, first, second in tests:

@@ -1,9 +1,9 @@
 """
 The plans of table 2: action sets and executions, in every game (sections 7.3 and 8).
 
-One trial has one owner of options: a person, an extraction, or none. The options are made once, in
-the default game, and every variant of that kind of owner plans with them. Plans with exact models
-are played from every start state, plans with sampled models in new games.
+One trial has one owner of options: a person, an extraction, or none. The options are learned or
+extracted once, in the default game, and every variant for that kind of owner plans with them.
+Plans with exact models are played from every start state, plans with sampled models in new games.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -41,10 +41,10 @@ from experiments.trials import Rows
 
 NAME = 'table2'
 AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
-# Options of a person: those taught by the paper's participants; in addition, those named in the
-# paper; and one more, not named there.
+# A person's options: those taught by the paper's participants; these and the others named in the
+# paper; and all of these with one that the paper does not name.
 SECTION_7, NAMED, ALSO_FRUIT = 'of section 7', 'named in the paper', 'the fruit too'
-REPEATS = 7  # repetitions of an exact plan, for timing
+REPEATS = 7  # repetitions of each exact plan, for timing
 PLAN, CURVE, COST = 'plan', 'curve', 'cost'  # kinds of row
 SECONDS, RETURN = 'total, s', 'mean return'
 COLUMNS = {  # column names of a plan by field of its summary
@@ -55,7 +55,7 @@ COLUMNS = {  # column names of a plan by field of its summary
     'n_states': 'states',
     'game_steps': 'game steps',
 }
-PARTS = [*COLUMNS.values()][:3]  # of the seconds
+PARTS = [*COLUMNS.values()][:3]  # parts of the total seconds
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Variant:
     action_set: str
     line: str  # matplotlib format: colour, line, marker
     execution: Arbitration = Arbitration.RUN_TO_END
-    options: str = NAMED  # of a person, in Pac-Man
+    options: str = NAMED  # set of a person's options, in Pac-Man
     by_chance: bool = False  # no plan: uniform random choice among the options that can start
 
 
@@ -104,7 +104,7 @@ VARIANTS = (
 
 @dataclass(frozen=True)
 class Effort:
-    """Amount of sampling and play; more with primitive actions alone, where steps cost less."""
+    """Amount of sampling and play; primitive actions alone get more, as their steps cost less."""
 
     largest: int = 200_000  # game steps of the last point of the curve, and of plans in the table
     primitive_largest: int = 3_200_000
@@ -122,7 +122,7 @@ EFFORT = Effort()
 
 def plan_all_games(parameters: Mapping[str, Any]) -> Rows:
     """
-    Plan with every variant for some options, in every game of their domain.
+    Plan with every variant for the options of one owner, in every game of their domain.
 
     :return: rows of three kinds: the cost of the options, plans, and the curve (plans with
         smaller budgets).
@@ -148,7 +148,7 @@ def plan_all_games(parameters: Mapping[str, Any]) -> Rows:
         domain = make_domain(game.domain, game.parameters)
         seed = people.owner_seed(parameters, NAME, game.name)
         for variant, owner in owned:
-            options = [  # adapt to other parameters than those of the lesson
+            options = [  # adapt to parameters that differ from the lesson's
                 carried_over(option, domain) if isinstance(option, LearnedOption) else option
                 for option in owner.options
             ]
@@ -167,7 +167,7 @@ def plan_all_games(parameters: Mapping[str, Any]) -> Rows:
 def _options_by_variant(
     parameters: Mapping[str, Any],
 ) -> list[tuple[Variant, people.OwnedOptions]]:
-    """Return the variants of a trial that have options for its owner, with these options."""
+    """Return the variants for the owner of a trial, each with its options."""
     domain = make_domain(parameters['domain'])
     owned = {NAMED: people.options_of(parameters, domain)}
     if domain.name in paper.ALSO_NAMED and 'person' in parameters.get('teacher', {}):
@@ -210,7 +210,7 @@ def play_by_chance(
     rng: np.random.Generator,
 ) -> Returns:
     """
-    Play by random choice among the options: the baseline of a plan.
+    Play by random choice among the options, as a baseline for plans.
 
     Whenever a choice is due, one of the options that can start is drawn uniformly and run to its
     end. If none can start, a primitive action is taken.
@@ -241,8 +241,8 @@ def plan_exactly(
     """
     Plan with exact models and play once from every start state.
 
-    Planning is very fast, so each plan is repeated several times and the one with the median
-    seconds counts.
+    Planning is very fast, so each plan is made several times, and the one with the median time
+    counts.
 
     :return: the curve, one row per number of sweeps, doubled until convergence; and the plan.
     """

@@ -1,10 +1,10 @@
 """
-Transfer: use options taught in one maze in other mazes, on which nothing was tuned.
+Transfer of options from one maze to other mazes, on which nothing was tuned.
 
 The mazes are drawn with a seed or provided by the user. One trial is one maze: plans with the
-options of one person, taught in the default maze, play there in every variant of the game, with
-every baseline of ``humanopts demo``. The planning settings were chosen in the default maze. Mazes
-are the independent units, so differences are paired by maze.
+options of one person, taught in the default maze, and every baseline of ``humanopts demo`` play
+every variant of the game there. The planning settings were chosen in the default maze. Mazes are
+the independent units, so differences are paired by maze.
 """
 
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ KEYS = ['game', 'way to play']
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial per maze; people take turns."""
+    """Return one trial per maze; the people take turns as teachers."""
     people = owners(study, DOMAIN)[PERSON]
     if not people:
         return []
@@ -67,7 +67,7 @@ def trials(study: Study) -> list[Trial]:
 
 def play_in_maze(parameters: Mapping[str, Any]) -> Rows:
     """
-    Play in one maze.
+    Play in one maze with every policy.
 
     :return: one row per variant of the game and policy: maze (its number), text (of the maze),
         game, way to play (the policy), kind, score (mean over games), cleared (share) and the
@@ -91,7 +91,7 @@ def play_in_maze(parameters: Mapping[str, Any]) -> Rows:
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report; one row per policy and variant of a maze."""
+    """Return the report section from one row per policy and variant of a maze."""
     mazes = rows[['maze', 'text']].drop_duplicates('maze')
     scores = rows.drop(columns=['text', 'trial'], errors='ignore')
     means = [name for name in ('cleared', 'fallbacks', 'seconds') if name in scores]
@@ -119,7 +119,7 @@ def present(rows: pd.DataFrame) -> report.Section:
 
 def _comparisons(scores: pd.DataFrame) -> list[report.Comparison]:
     """
-    Compare the interrupted plan with all options to chance, the rule and primitive actions.
+    Compare the interrupted plan of all options with chance, the rule and primitive actions.
 
     The intervals of the differences are simultaneous.
     """

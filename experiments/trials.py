@@ -2,7 +2,7 @@
 Trials: the computations of an experiment, and their execution.
 
 A finished trial is one JSON file. Its name depends on everything that affects the result: the
-experiment, its parameters, the code and the numeric libraries. So an interrupted run continues
+experiment, its parameters, the code and the numeric libraries. An interrupted run thus continues
 where it stopped, and results of other code are recomputed.
 """
 
@@ -38,7 +38,7 @@ class ClusterError(RuntimeError):
 
 
 def digest(folders: Iterable[Path]) -> str:
-    """Return a short digest of the Python code in folders, without nodes."""
+    """Return a short digest of the Python code in folders, without the ROS nodes."""
     found = hashlib.sha256()
     for folder in folders:
         for path in sorted(folder.rglob('*.py')):
@@ -92,7 +92,7 @@ class TrialResults:
 
     results: dict[str, Rows] = field(default_factory=dict)
     computed: int = 0  # in this run; the other results existed before
-    failures: dict[str, str] = field(default_factory=dict)  # trial and error
+    failures: dict[str, str] = field(default_factory=dict)  # the trial, and its error
 
     def rows_of(self, trials: Iterable[Trial]) -> list[dict[str, Any]]:
         """Return the rows of all finished trials, each with the number of its ``trial``."""
@@ -112,9 +112,9 @@ def run_trials(
     A failed trial is reported in the outcome, and the others continue.
 
     :param folder: folder of the finished trials; created if missing.
-    :param progress: called with costs.
+    :param progress: callback for the finished cost, the total cost and a text.
     :param jobs: number of local processes, 1 or more; 1: this process.
-    :param dask: address of a Dask scheduler to use instead; empty: none.
+    :param dask: address of a Dask scheduler to use instead; empty: local processes.
     :raises ClusterError: the cluster does not answer, or Dask is not installed.
     :raises SummaryError: a result cannot be written.
     :raises OSError: the folder cannot be created.

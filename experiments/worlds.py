@@ -1,14 +1,15 @@
 """
 Options taught in environments that can only be reset and stepped.
 
-This goes beyond the paper. In a trial, a simulated teacher teaches all options of an environment,
-a few demonstrations each. The teacher makes no errors, and takes the usual one of equally good
-moves. Then the options run from starts that were never demonstrated, and a plan with them plays
-unseen episodes. An option *succeeds* if it reaches the end that the teacher reaches from there,
-within twice the steps; the plan succeeds if it does the whole task within the environment's limit.
+This goes beyond the paper. In a trial, a simulated teacher teaches all options of an environment
+with a few demonstrations each. The teacher makes no errors, and has the reference option's
+preference among equally good actions. Then the options run from starts that were never
+demonstrated, and a plan with them plays unseen episodes. An option *succeeds* if it reaches the
+teacher's end within twice the steps; the plan succeeds if it completes the task in the step limit.
 
-Two kinds of trials compare: options from segments of whole plays with those from as many separate
-demonstrations, and tabular Q-learning that chooses among taught options with primitive actions.
+Two other kinds of trials compare options from segments of whole plays with options from as many
+separate demonstrations, and tabular Q-learning over taught options with that over primitive
+actions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,20 +52,20 @@ STARTS, LAYOUTS = 50, 200  # unseen starts of each option; unseen episodes of ea
 WHOLE_TASK = 'whole task'
 KEYS = ['case', 'option']
 PLAYS = {'taxi': 30, 'gymnasium:MiniGrid-DoorKey-8x8-v0': 6}  # whole plays per lesson
-LEARNERS, EPISODES = 10, 100  # lessons with Q-learning, and its episodes
-SOLVED = 0.9  # share of unseen episodes, and of lessons
-LESS = 0.05  # success that options from segments may lack
+LEARNERS, EPISODES = 10, 100  # lessons with Q-learning, and episodes in each
+SOLVED = 0.9  # minimum share of unseen episodes, and of lessons
+LESS = 0.05  # maximum loss of success by options from segments
 COST = 3.0  # approximate processor seconds of a trial
 
 
 @dataclass(frozen=True)
 class Case:
-    """An environment, and what a lesson in it has to show."""
+    """An environment, and the demonstrations and the goal of a lesson in it."""
 
     environment: str  # id
     shown: int  # demonstrations of each option
-    goal: float  # lowest success of each option, or of the plan if there are several
-    where_stuck: int = 0  # further demonstrations of any option where the plan gets stuck
+    goal: float  # minimum success of each option, or of the plan if there are several
+    where_stuck: int = 0  # maximum further demonstrations where the plan gets stuck
     played_in: str = ''  # environment to play in; empty: the same
 
 
@@ -84,7 +85,7 @@ CASES = {
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial per lesson and case; none with bags."""
+    """Return one trial per lesson and case; none if the study uses bags."""
     lessons = 0 if study.bags else study.participants
     work = [
         *(({'case': name}, teach_in_world) for name in CASES),
@@ -119,8 +120,8 @@ def teach_in_world(parameters: Mapping[str, Any]) -> Rows:
     Teach the options of an environment once.
 
     :return: one row per option, and one for the plan if there are several options: success (share
-        of unseen starts), teacher (the teacher's share), demonstrations, where stuck (those of
-        them where the plan got stuck), not here (answers).
+        of unseen starts), teacher (the teacher's share), demonstrations, where stuck (number of
+        these given where the plan got stuck), not here (answers).
     """
     case, seed = CASES[parameters['case']], _seed(parameters)
     domain, there = world(case.environment), world(case.played_in or case.environment)
@@ -129,7 +130,7 @@ def teach_in_world(parameters: Mapping[str, Any]) -> Rows:
     for name in reference_options(there):
         starts = starts_of(there, name, seed)
         row = {'option': name, 'teacher': float(np.mean([steps > 0 for _, steps in starts]))}
-        # Where the teacher fails itself, there is no end to reach.
+        # Skip starts from which the teacher itself fails.
         starts = [start for start in starts if start[1]]
         option = options.get(name)
         if option is None:  # never demonstrated
@@ -156,15 +157,15 @@ def teach_in_world(parameters: Mapping[str, Any]) -> Rows:
 
 @cache
 def world(name: str) -> Domain:
-    """Return the domain of an environment; each process makes it once."""
+    """Return the domain of an environment."""
     return make_domain(f'gymnasium:{name}')
 
 
 def starts_of(domain: Domain, name: str, seed: int, count: int = STARTS) -> list[tuple[Any, int]]:
     """
-    Draw starts of an option: the teacher takes the options before it from resets of the task.
+    Draw starts of an option: states reached from resets by the teacher's preceding options.
 
-    :return: start state and the number of steps that the teacher needs; 0: it fails.
+    :return: start states, each with the number of steps that the teacher needs; 0: it fails.
     """
     rng, found = generator(seed, 'unseen starts', name), list[tuple[Any, int]]()
     references = reference_options(domain)
@@ -180,7 +181,7 @@ def starts_of(domain: Domain, name: str, seed: int, count: int = STARTS) -> list
 
 
 def led(domain: Domain, option: ReferenceOption, state: Any) -> tuple[list[Any], list[str]]:
-    """Return the states through which the teacher leads to the end of an option, and actions."""
+    """Return the states and actions of the teacher's run of an option from a state."""
     rng = np.random.default_rng(0)  # unused: the seed of a state determines its future
     states, actions = [state], list[str]()
     while len(actions) < domain.max_steps and (best := option.optimal_actions(states[-1])):
@@ -217,10 +218,10 @@ def play_plan(domain: Domain, options: Sequence[Option], seed: int) -> dict[str,
 
 def teach_by_whole_plays(parameters: Mapping[str, Any]) -> Rows:
     """
-    Cut whole plays into segments and name them; also demonstrate each option as often separately.
+    Cut whole plays into named segments; also demonstrate each option separately as many times.
 
-    :return: one row per option: success of the option from segments, separate (success of the
-        other), demonstrations.
+    :return: one row per option: success (learned from segments), separate (success when learned
+        from separate demonstrations), demonstrations.
     """
     name, seed = parameters['domain'], _seed(parameters)
     domain, rows = make_domain(name), []
@@ -270,7 +271,7 @@ def teach_by_whole_plays(parameters: Mapping[str, Any]) -> Rows:
 
 
 def numbered(demonstrations: Sequence[Demonstration]) -> list[Demonstration]:
-    """Return the demonstrations as those of one lesson."""
+    """Number the demonstrations as those of one lesson."""
     return [
         replace(demo, number=number, uuid=f'{demo.option_name} {number}')
         for number, demo in enumerate(demonstrations, start=1)
@@ -279,10 +280,10 @@ def numbered(demonstrations: Sequence[Demonstration]) -> list[Demonstration]:
 
 def learn_to_choose(parameters: Mapping[str, Any]) -> Rows:
     """
-    Learn by tabular Q-learning which taught option to run, and which primitive action to take.
+    Learn by tabular Q-learning to choose among taught options, or among primitive actions.
 
-    :return: one row per set of actions: success (whether most unseen episodes are solved after
-        ``EPISODES``), demonstrations.
+    :return: one row per set of actions: success (whether at least ``SOLVED`` of the unseen
+        episodes are solved after ``EPISODES``), demonstrations.
     """
     case, seed, rows = CASES['DoorKey-8x8'], _seed(parameters), []
     domain = world(case.environment)
@@ -305,7 +306,7 @@ def learn_to_choose(parameters: Mapping[str, Any]) -> Rows:
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report; one row per lesson and option."""
+    """Return the report section from one row per lesson and option."""
     lessons = rows.drop(columns='trial', errors='ignore')
     means = [
         name

@@ -241,7 +241,7 @@ def test_control_is_free_at_once_when_the_terminal_is_started_again_or_ends(
 
 
 WRONG: list[tuple[dict[str, Any], str]] = [
-    ({'domain': 'chess'}, "no domain 'chess'; there is"),
+    ({'domain': 'chess'}, "unknown domain 'chess'; choose from"),
     ({'domain_parameters': '{"rows": 1}'}, 'rows is 1'),
     ({'domain_parameters': 'rows=7'}, 'not JSON'),
     ({'seed': -1}, 'parameter seed'),

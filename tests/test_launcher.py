@@ -79,7 +79,7 @@ def test_a_node_that_ends_is_named_with_its_last_lines(launch: Launch) -> None:
     launcher = launch(spec('game', GAME, domain='chess'))
     first, *_, last = death(launcher).splitlines()  # Fast DDS may have said something, too
     assert first == ('the node game ended (exit status 2) while it was needed; its last lines:')
-    assert last.startswith("  humanopts: no domain 'chess'; there is")
+    assert last.startswith("  humanopts: unknown domain 'chess'; choose from")
 
 
 def test_a_node_that_was_killed_is_started_again_in_a_limited_number(
@@ -297,7 +297,7 @@ def test_nodes_end_when_the_server_that_forked_them_is_killed(launch: Launch, li
     live.ready('/game')
     node = psutil.Process(launcher.pid('game'))
     node.parent().kill()
-    why = 'the process that it was forked from was killed'
+    why = 'its parent process, the fork server, was killed'
     assert death(launcher).startswith(f'the node game ended ({why}) while')
     live.until(lambda: not node.is_running(), 'the end of the node')
 
@@ -314,7 +314,7 @@ def test_a_stopped_node_is_reported_and_a_stopped_server_does_not_block_the_end(
     live.until(lambda: not launcher.check() and said, 'a line')
     os.kill(pid, signal.SIGCONT)
     live.until(lambda: not launcher.check() and len(said) > 1, 'another line')
-    stopped = f'the node game is stopped; kill -CONT {pid} lets it go on'
+    stopped = f'the node game is stopped; kill -CONT {pid} resumes it'
     assert said == [stopped, 'the node game goes on']
     assert launcher.ends == []
     server = psutil.Process(pid).parent()
@@ -397,8 +397,8 @@ def test_a_launch_refuses_another_in_its_place_and_one_beside_it_where_a_game_ru
         for namespace, out, only, why in (
             ('/east', 'east/out', 'game', 'already runs game in ROS_DOMAIN_ID'),
             ('/east', 'new', 'lesson,game', 'namespace /east; stop it'),
-            ('/west', 'new', 'game', '/west/game runs already in ROS_DOMAIN_ID'),
-            ('/north', 'new', 'game', '/north/simulator runs already in ROS_DOMAIN_ID'),
+            ('/west', 'new', 'game', '/west/game already runs in ROS_DOMAIN_ID'),
+            ('/north', 'new', 'game', '/north/simulator already runs in ROS_DOMAIN_ID'),
             ('/room', 'east/out', 'game', 'east/out; stop it, or choose another --out'),
         ):
             assert main(words(namespace, tmp_path / out, only)) == 2

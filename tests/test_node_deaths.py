@@ -177,7 +177,7 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
     found = look_until(1, planner_restarts=1)
     nodes = {node['name']: node for node in found['nodes']}
     pid = nodes['simulated_teacher']['pid']
-    stopped = f'simulated_teacher is stopped; kill -CONT {pid} lets it go on'
+    stopped = f'simulated_teacher is stopped; kill -CONT {pid} resumes it'
     assert stopped in found['faults']
     command.until(lambda: f'the node {stopped}' in command.errors, 'its name')
     command.kill('simulated_teacher', SIGCONT)

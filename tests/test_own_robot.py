@@ -156,7 +156,7 @@ def test_the_exam_is_supervised_runs_from_where_it_is(teacher: Teacher) -> None:
         here = {'episode': begun.episode, 'step': run.step_count}
         right = EndDemonstration.Request.VERDICT_RIGHT
         teacher.ask(EndDemonstration, 'end_demonstration', verdict=right, **here)
-        missing = f'not learned: the exam is missing ({number} of 5 runs)'
+        missing = f'not learned: the exam is incomplete ({number} of 5 runs)'
         teacher.graph.until(
             lambda text=missing: teacher.learned[-1].options[0].status == text, 'the verdict'
         )
@@ -173,7 +173,7 @@ def test_the_current_state_can_be_asked_about_and_no_other(teacher: Teacher) -> 
     assert there.status == there.STATUS_BAD_STATE
     assert there.detail == (
         'a query about another state than the current one needs a domain that can be simulated; '
-        'rover can only be acted in'
+        'rover cannot be simulated'
     )
 
 
@@ -181,7 +181,7 @@ def test_what_needs_rules_says_so(teacher: Teacher) -> None:
     _, result = teacher.graph.act(ExtractOptions, 'extract_options').result()
     assert result.status == ExtractionResult.STATUS_BAD_REQUEST
     assert result.detail == (
-        'a search for options needs a domain that can be simulated; rover can only be acted in'
+        'a search for options needs a domain that can be simulated; rover cannot be simulated'
     )
     begun = teacher.graph.ask(
         BeginDemonstration, 'lesson/begin_demonstration', start_state='{"x": 3.0}'
@@ -199,5 +199,5 @@ def test_nodes_can_be_launched_around_it_and_a_game_that_is_not_installed_cannot
     around = setup_from('rover', LaunchOptions(), bag_name='up', only='lesson,learner')
     assert {spec.name for spec in processes(around)} == {'lesson', 'learner'}
     for only in ('', 'game,lesson'):
-        with pytest.raises(CommandError, match="no domain 'rover'"):
+        with pytest.raises(CommandError, match="unknown domain 'rover'"):
             setup_from('rover', LaunchOptions(), bag_name='up', only=only)

@@ -39,10 +39,10 @@ def test_the_node_world_takes_the_place_of_game(scout: str, tmp_path: Path) -> N
 
 
 REFUSED: dict[str, tuple[list[Any], str]] = {
-    'demo': (['demo'], 'scout.yaml is a robot, which can only be acted in; this needs a domain'),
+    'demo': (['demo'], 'scout.yaml is a robot; this operation needs a domain'),
     'teacher': (
         ['up', '--taught', 'dock'],
-        'the simulated teacher needs a domain that can be simulated; scout can only be acted in',
+        'the simulated teacher needs a domain that can be simulated; scout cannot be simulated',
     ),
     'parameter': (['up', '--parameter', 'rows=3'], 'takes no parameters: change its'),
     'goal': (['up', '--learn', 'goal'], 'the states of scout cannot be listed'),
@@ -109,7 +109,7 @@ def test_the_bag_has_the_world_file_and_on_request_the_topics_of_the_robot(
     assert '/scan' not in topics
     assert read_description(bag).name == 'scout'
     assert main(['bag', 'eval', str(path)]) == 2
-    assert 'scout is a robot, which can only be acted in; this needs' in capsys.readouterr().err
+    assert 'scout is a robot; this operation needs' in capsys.readouterr().err
 
 
 def test_a_launch_says_what_the_world_waits_for(scout: str, tmp_path: Path) -> None:

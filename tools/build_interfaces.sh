@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# build_interfaces.sh VENV PACKAGE INTO: builds a package of interfaces, such as
-# src/humanopts_interfaces, into a folder such as install/ with the ROS of a virtual environment:
-# only the C type support, which Python loads. The user's cache folder keeps the result for other
-# clones, by these files, this Python and these ROS packages.
+# build_interfaces.sh VENV PACKAGE INTO: build a package of interfaces, such as
+# src/humanopts_interfaces, into a folder such as install/ with the ROS of a virtual environment.
+# Only the C type support is built, since Python loads no other. The user's cache folder keeps the
+# result for other clones, by a key of these files, this Python and the ROS packages.
 set -euo pipefail
 venv=$(cd "$1" && pwd)
 package=$2
@@ -20,7 +20,7 @@ key=$({
 } | sha256sum | cut -c1-20)
 cache=${XDG_CACHE_HOME:-${HOME:-/nonexistent}/.cache}/humanopts/$name-$key
 
-# Copies a tree, and replaces its old path in text files by the new one.
+# Copy a tree, and replace the old path in its text files with the new one.
 copy() {
   local folder part
   folder=$(dirname "$2")
@@ -38,8 +38,8 @@ if [ -d "$cache" ]; then
   echo "from $cache"
   exit
 fi
-rm -rf "$built"  # with messages that were deleted
-light='-O1 -DNDEBUG'  # a tenth less time than -O3; messages are converted as quickly
+rm -rf "$built"  # it may contain deleted messages
+light='-O1 -DNDEBUG'  # builds a tenth faster than -O3; messages are converted as quickly
 export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv MAKEFLAGS=-j$(nproc)
 PATH="$venv/bin:$PATH" "$venv/bin/colcon" --log-level error build \
   --event-handlers console_direct- summary- --base-paths "$package" --install-base "$3" --cmake-args \

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# build_robots.sh VENV: installs the simulated robots of examples/ into build/robots.
+# build_robots.sh VENV: install the simulated robots of examples/ into build/robots.
 set -euo pipefail
 venv=$(cd "$1" && pwd)
 packages=(examples/humanopts_rover examples/humanopts_gripper)

@@ -1,9 +1,9 @@
 """
 Build the wheels and sdists of humanopts into a folder, such as dist/.
 
-humanopts-interfaces holds the compiled interfaces that the set-up has built, in the layout of the
-ROS wheels: a prefix inside the Python environment. humanopts holds nothing: its extras name what
-each way of use needs. The versions are those of package.xml.
+humanopts-interfaces contains the interfaces that the set-up has compiled, in the layout of the ROS
+wheels: a prefix inside the Python environment. humanopts contains no code; its extras list the
+packages for each use. The versions are those of package.xml.
 
 Usage: build_wheels.py FOLDER
 """
@@ -26,7 +26,7 @@ PACKAGES = ('humanopts_ros', 'humanopts_env', 'humanopts_learner', 'humanopts_te
 INTERFACES = 'humanopts_interfaces'
 WORK = ROOT / 'build/wheels'
 BACKEND = '[build-system]\nrequires = ["setuptools"]\nbuild-backend = "setuptools.build_meta"\n'
-# ROS packages that the nodes and the interfaces import; everything they need is pinned with them.
+# ROS packages that the nodes and the interfaces import; their dependencies are pinned as well.
 ROS = (
     'rclpy[fastrtps]',
     'std-msgs',
@@ -35,7 +35,7 @@ ROS = (
     'nav-msgs',
     'visualization-msgs',
 )
-EXTRAS = {  # of humanopts; other extras belong to the package whose code needs them
+EXTRAS = {  # of humanopts; other extras belong to the packages that need them
     'ros': ['humanopts-interfaces'],
     'browser': ['humanopts-teach[browser]'],
     'study': ['humanopts-teach[study]'],
@@ -53,7 +53,7 @@ class Compiled(Distribution):
 setup(distclass=Compiled, **{settings})
 """
 
-# An old pip does not take the wheel where it fits.
+# Also for an old pip, which does not choose the wheel even where it fits.
 _REFUSAL = """
 import platform
 import sys
@@ -80,7 +80,7 @@ def version_of(package: str) -> str:
 
 def pinned(names: tuple[str, ...]) -> list[str]:
     """
-    Return the ROS wheels that these need, with the installed versions.
+    Return requirements of ROS packages and all their ROS dependencies, at installed versions.
 
     Newer versions on the index belong to later distributions of ROS.
     """
@@ -103,7 +103,7 @@ def pinned(names: tuple[str, ...]) -> list[str]:
 
 
 def build(folder: Path, into: Path, *kinds: str) -> None:
-    """Build the wheel of a folder, and other kinds if they are asked for."""
+    """Build distributions of a folder: ``--wheel``, ``--sdist`` or both."""
     command = [Path(sys.executable).with_name('uv'), 'build', '--quiet', '--no-build-isolation']
     subprocess.run(
         [*command, '--python', sys.executable, '--out-dir', into, *kinds, folder], check=True
@@ -142,9 +142,9 @@ def interfaces(into: Path) -> None:
 
 def refusal(into: Path) -> None:
     """
-    Build the sdist that pip takes where the compiled interfaces do not fit: it says what to do.
+    Build the sdist that pip chooses without a fitting wheel; its error message says what to do.
 
-    Compiling them needs ROS, which pip could not provide.
+    pip could not compile the interfaces, since that needs ROS.
     """
     number, (major, minor) = version_of(INTERFACES), sys.version_info[:2]
     folder = f'{INTERFACES}-{number}'
@@ -164,7 +164,7 @@ def refusal(into: Path) -> None:
 
 
 def everything(into: Path) -> None:
-    """Build the package without code, whose extras name what each way of use needs."""
+    """Build the package without code; its extras list the packages for each use."""
     number, work = version_of('humanopts_teach'), WORK / 'humanopts'
     work.mkdir(parents=True)
     extras = {**EXTRAS, 'all': [each for needed in EXTRAS.values() for each in needed]}

@@ -1,8 +1,8 @@
 """
-check_floor.py LOCK: check that the packages of a lock file are installed and that ours import.
+check_floor.py LOCK: check that a lock file's packages are installed and ours can be imported.
 
 Print the versions, or the differences from the lock file. Import every module of src/ that needs
-no graph, to prove that none needs a feature of newer packages.
+no graph, to check that none needs a feature of newer packages.
 """
 
 from importlib import import_module

@@ -1,5 +1,5 @@
 """
-Check the packages of src/ from the view of ROS tools, and print all problems.
+Check the packages of src/ as ROS tools see them, and print all problems.
 
 Every package.xml must be valid, list exactly the packages imported by its code, and list only keys
 known to rosdep: those copied from rosdistro (rosdep/rosdistro_keys.txt), our own
@@ -25,7 +25,7 @@ KEYS = {
     'lazy_loader': 'python3-lazy-loader',
     'markupsafe': 'python3-jinja2',
     'matplotlib': 'python3-matplotlib',
-    'mcap': 'mcap-ros2-support',  # needs mcap, which has no own key
+    'mcap': 'mcap-ros2-support',  # depends on mcap, which has no key
     'mcap_ros2': 'mcap-ros2-support',
     'nicegui': 'python3-nicegui-pip',  # needs fastapi and uvicorn
     'numpy': 'python3-numpy',
@@ -57,7 +57,7 @@ FLOOR_KEYS = {
 }
 OPTIONAL = {'distributed', 'minari', 'numba', 'pyarrow', 'quantecon'}  # used if installed
 UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # used by messages and launch files
-SYSTEMS = ('debian', 'ubuntu')  # need a rule in our list
+SYSTEMS = ('debian', 'ubuntu')  # for which every key in our list needs a rule
 
 
 def imported(package: Path) -> set[str]:

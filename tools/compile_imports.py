@@ -1,7 +1,7 @@
 """
-Import what the modules of src/ import, also inside functions, so that Python compiles it.
+Import all modules that src/ imports, also inside functions, so that Python compiles them.
 
-These are a hundredth of the installed modules; compiling all takes five times as long. This is
+They are a hundredth of the installed modules; compiling all would take five times as long. This is
 part of the set-up because other users may lack write permission. The modules of src/ are compiled
 when they are installed.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 def main(source: Path) -> None:
-    """Import all of it; optional packages may be missing."""
+    """Import the modules; optional packages may be missing."""
     needed = set[str]()
     for path in source.glob('humanopts_*/humanopts_*/**/*.py'):
         for node in ast.walk(ast.parse(path.read_bytes())):

@@ -1,7 +1,7 @@
 # Source this file with $root set: it sets the variables of install/setup.bash in a millisecond, and
 # unsets those of another ROS or Python.
 unset $(< "$root/src/humanopts_ros/humanopts_ros/foreign_variables.txt")
-# Beside our packages: those of make robots, and those that colcon built into HUMANOPTS_OVERLAY.
+# In addition to our packages: those of make robots, and those built into HUMANOPTS_OVERLAY.
 for prefix in "$root"/install/humanopts_* "$root"/build/robots/*/ \
   ${HUMANOPTS_OVERLAY:+"$HUMANOPTS_OVERLAY"/*/}; do
   prefix=${prefix%/}

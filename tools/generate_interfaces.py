@@ -1,8 +1,9 @@
 """
-generate_interfaces.py FOLDER: runs the generators of ROS interfaces that CMake configured there.
+generate_interfaces.py FOLDER: run the generators of ROS interfaces that CMake configured there.
 
-make would run one after the other, and each would parse all interfaces again. Here they are parsed
-once, without their comments, and all cores generate. make then finds everything up to date.
+make would run one after another, and each would parse all interfaces again. Here the interfaces
+are parsed once, without comments, and the generators run in parallel. make then finds everything
+up to date.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -17,15 +18,15 @@ from rosidl_parser import parser
 
 TYPE_SUPPORTS = ['rosidl_typesupport_fastrtps_c', 'rosidl_typesupport_introspection_c']
 DISPATCH = 'rosidl_typesupport_c'
-FIRST = 'rosidl_generator_type_description'  # the others read what it writes
-OTHERS = {  # the longest first
+FIRST = 'rosidl_generator_type_description'  # the others read its output
+OTHERS = {  # the slowest first
     'rosidl_generator_py': ['--typesupport-impls', ';'.join((*TYPE_SUPPORTS, DISPATCH))],
     'rosidl_generator_c': [],
     'rosidl_typesupport_fastrtps_c': [],
     'rosidl_typesupport_introspection_c': [],
     DISPATCH: ['--typesupports', *TYPE_SUPPORTS],
 }
-# Two thirds of the text; nothing that Python loads contains them.
+# Comments are two thirds of the text, and Python does not need them.
 COMMENT = re.compile(r'@verbatim \(language="comment", text=\n(?: *".*\n)+')
 LIBRARIES = Path(sys.prefix) / 'lib'
 
@@ -42,7 +43,7 @@ def generate(folder: Path, name: str, *arguments: str) -> None:
 
 
 def main(folder: Path) -> None:
-    """Run all generators; refuse unknown ones, whose output would be missing from the others'."""
+    """Run all generators; refuse unknown ones, since their output would be missing."""
     described = folder.glob('rosidl_*__arguments.json')
     names = {path.name.removesuffix('__arguments.json') for path in described}
     if names - {'rosidl_adapter'} != {FIRST, *OTHERS}:

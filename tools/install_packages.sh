@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # install_packages.sh VENV LOCK [FOLDER]: install the packages of a lock file into a virtual
-# environment, or with its tools into a folder. uv is fast; if it cannot reach the package index,
-# which may be set in pip's configuration, pip is used. Dependencies are not resolved, since the
-# lock file is complete. Nothing is compiled, since few modules are imported.
+# environment or, with the tools of this environment, into a folder. uv is fast; pip is used if uv
+# cannot reach the package index, which may be set in pip's configuration. Dependencies are not
+# resolved, since the lock file is complete. Nothing is compiled, since few modules are imported.
 set -euo pipefail
 venv=$1 lock=$2
 into=(${3:+--target "$3"})

@@ -1,5 +1,5 @@
 """
-kilted.py FOLDER: copies this repository, with ROS 2 Kilted in place of Jazzy.
+kilted.py FOLDER: copy this repository, with ROS 2 Kilted in place of Jazzy.
 
 The packages of requirements-kilted.lock replace those of the other lock files. Files that have not
 changed stay as they are, so that make builds only what is new.
@@ -22,7 +22,7 @@ def blocks(lock: str) -> dict[str, str]:
 
 
 def merged(lock: str, kilted: str) -> str:
-    """Return a lock file with the packages of another in place of ROS and of its own."""
+    """Return a lock file with another's packages in place of ROS and of those with equal names."""
     others = blocks(kilted)
     names = {re.split(r'[ =;]', name)[0] for name in others}
     kept = [
@@ -34,7 +34,7 @@ def merged(lock: str, kilted: str) -> str:
 
 
 def main(root: Path, folder: Path) -> None:
-    """Copy what git knows; adapt the lock files and the name of the distribution."""
+    """Copy the files that git tracks; adapt the lock files and the name of the distribution."""
     listed = subprocess.run(['git', 'ls-files', '-z'], cwd=root, capture_output=True, check=True)
     kilted = (root / 'requirements-kilted.lock').read_text('utf-8')
     for name in filter(None, listed.stdout.decode().split('\0')):

@@ -32,7 +32,7 @@ HEAD = [
 
 
 def stub_of_message(name: str, spec: MessageSpecification) -> Iterator[str]:
-    """Yield the lines of a class; arrays have the types of rclpy, and are set from sequences."""
+    """Yield the lines of a class; arrays have rclpy's types, and can be set from sequences."""
     yield f'class {name}:'
     for constant in spec.constants:
         value = bytes([constant.value]) if constant.type == 'byte' else constant.value

@@ -1,7 +1,7 @@
 """
 Record the pictures of the terminal in docs/images: lessons with real keys, on a real graph.
 
-The person answers and demonstrates as the reference options of Taxi do. ``make screens`` runs it.
+The person follows the reference options of Taxi. ``make screens`` runs this script.
 """
 
 from functools import partial
@@ -23,13 +23,13 @@ from rich.text import Text
 
 TITLE = './humanopts teach taxi'
 FIRST, SECOND = 'go to passenger and pickup', 'go to destination and dropoff'
-SHOWN_AT = 7  # number of the start that the picture of the criteria shows
-SECONDS = 2.5  # for which the moving picture shows each screen
-PYTE_COLOURS = {'default': 'default', 'brown': 'yellow'}  # others have the names of rich
+SHOWN_AT = 7  # number of the start in the picture of the criteria
+SECONDS = 2.5  # duration of each screen in the moving picture
+PYTE_COLOURS = {'default': 'default', 'brown': 'yellow'}  # other names agree with rich
 
 
 class Recorder:
-    """A person at the terminal, and the pictures of what they see."""
+    """A person at the terminal, and pictures of the screens."""
 
     def __init__(self, folder: Path, domain_id: int) -> None:
         arguments = '-m', 'humanopts_teach', 'teach', 'taxi', '--out', str(folder)
@@ -37,7 +37,7 @@ class Recorder:
         self.screens: dict[str, Console] = {}
 
     def keep(self, name: str) -> None:
-        """Keep what the screen shows now, unless there is a picture of that name."""
+        """Keep a picture of the current screen, unless there is one with that name."""
         if name not in self.screens:
             self.terminal.read(0.3)
             self.screens[name] = picture(self.terminal)
@@ -88,7 +88,7 @@ class Recorder:
 
 
 def picture(terminal: Terminal) -> Console:
-    """Return the screen, as printed on a console that exports it."""
+    """Return a console that can export the screen."""
     text = Text()
     for row in range(HEIGHT):
         cells = [terminal.screen.buffer[row][column] for column in range(WIDTH)]
@@ -118,7 +118,7 @@ def colour(name: str) -> Color:
 
 
 def moving(frames: list[str]) -> str:
-    """Return one picture that shows frames in turn, and the last one where nothing moves."""
+    """Return a picture that shows frames in turn; the last one where animations do not run."""
     view = re.search(r'viewBox="[^"]*"', frames[0])
     assert view is not None
     share = 100 / len(frames)

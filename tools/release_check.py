@@ -1,13 +1,13 @@
 """
-Check the wheels and sdists in a folder, such as dist/, as their users meet them.
+Check the wheels and sdists in a folder, such as dist/, from the view of their users.
 
-Their metadata and changelogs, their files, and for each way of use an installation with pip into a
-new environment, on a PATH without compiler, make and git; and the set-up of a clone. Prints a line
-per check with its time and the size of the environment; exits with status 1 after the first
-failure. Times until the first report are also given in units of a loop of 20 million additions,
+The checks cover metadata, changelogs and files; for each use, an installation with pip into a new
+environment, on a PATH without compiler, make and git; and the set-up of a clone. Each check prints
+a line with its time and the size of the environment. The first failure ends the program with
+status 1. Times until the first report are also given in units of a loop of 20 million additions,
 because machines differ.
 
---quick: only what takes seconds, with uv in place of pip.
+--quick: only checks that take seconds, with uv in place of pip.
 
 Usage: release_check.py FOLDER [--quick]
 """
@@ -27,7 +27,7 @@ import zipfile
 ROOT = Path(__file__).parent.parent
 UV = Path(sys.executable).with_name('uv')
 PURE = ('humanopts_ros', 'humanopts_env', 'humanopts_learner', 'humanopts_teach')
-# The packages that a user's environment has already, older than the newest.
+# Packages that a user's environment already has, in older versions.
 OLDER = {'numpy': '1.26.4', 'scipy': '1.11.4', 'scikit-learn': '1.4.2', 'pandas': '2.1.4'}
 OLD_PIP = 'pip==20.2.4'
 PYTHONS = ('3.11', '3.12', '3.13')
@@ -54,7 +54,7 @@ assert env.unwrapped.P[observation]
 """
 
 
-# Runs a command where a folder is mounted read-only, in a name space of its own.
+# Run a command with a folder mounted read-only, in a separate namespace.
 READ_ONLY = (
     *('unshare', '--user', '--map-root-user', '--mount', 'sh', '-ec'),
     'mount --bind "$1" "$1"; mount -o remount,bind,ro "$1"; shift; exec "$@"',
@@ -92,9 +92,9 @@ def loops(remarks: list[str], text: str) -> Iterator[None]:
 
 def run(*command: object, **variables: str) -> str:
     """
-    Run a command with nothing of this process's environment, and return its output.
+    Run a command with few variables of this process's environment, and return its output.
 
-    :raises CheckError: it failed.
+    :raises CheckError: the command failed.
     """
     known = 'HOME', 'TERM', 'ROS_DOMAIN_ID', 'XDG_CACHE_HOME'
     given = {n: v for n, v in os.environ.items() if n in known or n.startswith(OF_INDEX)}
@@ -111,7 +111,7 @@ def run(*command: object, **variables: str) -> str:
 
 
 def check_changelogs(dist: Path) -> None:
-    """Look for the version and its date in the changelogs."""
+    """Check that the changelogs have the version and its date."""
     (wheel,) = dist.glob('humanopts-*.whl')
     version = re.escape(wheel.name.split('-')[1])
     date = r'\d{4}-\d\d-\d\d'
@@ -124,13 +124,13 @@ def check_changelogs(dist: Path) -> None:
 
 
 def expected_files(package: str) -> set[str]:
-    """Return the files of a package that its wheel has to hold, by the repository's index."""
+    """Return the files of a package that git tracks, which its wheel has to contain."""
     inside = ROOT / 'src' / package
     return set(run('git', '-C', inside, 'ls-files', package, PATH=os.environ['PATH']).split())
 
 
 def check_files(dist: Path) -> None:
-    """Compare the files of each wheel with what is expected."""
+    """Compare the files of each wheel with the expected ones."""
     for package in PURE:
         (wheel,) = dist.glob(f'{package}-*.whl')
         inside = {name for name in zipfile.ZipFile(wheel).namelist() if name[-1] != '/'}
@@ -149,7 +149,7 @@ def check_files(dist: Path) -> None:
 
 
 class Environment:
-    """A new environment of Python, with only its own programs on the PATH."""
+    """A new Python environment, with only its own programs on the PATH."""
 
     def __init__(self, folder: Path, dist: Path, quick: bool = False) -> None:
         self.folder, self._dist = folder, dist
@@ -167,7 +167,7 @@ class Environment:
 
     def refuses(self, text: str, program: str, *arguments: object, **variables: str) -> None:
         """
-        Run a program that has to fail with a text.
+        Check that a program fails with a text.
 
         :raises CheckError: it does not.
         """
@@ -180,7 +180,7 @@ class Environment:
         raise CheckError(f'{program} does not say: {text}\n{said}')
 
     def install(self, *packages: str, **variables: str) -> None:
-        """Install packages as the documentation does, ours from the folder of wheels."""
+        """Install packages as documented; ours come from the folder of wheels."""
         given = {'PATH': str(self.folder / 'bin'), **variables}
         run(*self._pip, '--quiet', '--find-links', self._dist, *packages, **given)
 
@@ -204,7 +204,7 @@ class Environment:
 
 
 def check_learner(dist: Path, work: Path, quick: bool) -> Environment:
-    """Learn from a table where only the learner is installed, and where others came before."""
+    """Learn from a table with only the learner installed, and beside older packages."""
     table = ROOT / 'examples/own_table/demonstrations.csv'
     example = ROOT / 'examples/own_table/learn_from_table.py', '--out', work / 'own'
     with check('humanopts-learner alone') as remarks:
@@ -251,7 +251,7 @@ def check_gymnasium(learner: Environment, lesson: Path) -> None:
 
 
 def check_refusals(dist: Path, work: Path) -> None:
-    """Check what a user reads who lacks an extra, or has an old pip or another Python."""
+    """Check the messages about a missing extra, an old pip and another Python."""
     with check('humanopts without extras'):
         bare = Environment(work / 'bare', dist)
         bare.install('humanopts')
@@ -269,7 +269,7 @@ def check_refusals(dist: Path, work: Path) -> None:
 
 
 def check_all(dist: Path, work: Path) -> None:
-    """Teach, record, plan and report where everything is installed."""
+    """Teach, record, plan and report with everything installed."""
     report, fresh = work / 'demo', {'XDG_CACHE_HOME': str(work / 'cache')}
     with check('humanopts[all]') as remarks:
         whole = Environment(work / 'all', dist)
@@ -302,7 +302,7 @@ def check_all(dist: Path, work: Path) -> None:
 
 
 def check_clone(work: Path) -> None:
-    """Run the demo in a clone, where nothing is cached."""
+    """Run the demo in a clone, with empty caches."""
     with check('a clone') as remarks:
         clone, path = work / 'clone', os.environ['PATH']
         run('git', 'clone', '--quiet', ROOT, clone, PATH=path)

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# step.sh TEXT COMMAND...: run one step of the set-up, and print its name and then its time, in two
-# lines, since another step may run at the same time.
+# step.sh TEXT COMMAND...: run one step of the set-up; print its name before and its time after it,
+# on two lines, since another step may run at the same time.
 text=$1
 shift
 begun=$(date +%s.%N)

@@ -28,7 +28,7 @@ while os.getppid() == parent:
         pass
 """
 # Fast DDS announces a participant at its creation and then periodically. Our profile for a single
-# machine announces it ten times per second at first.
+# machine initially announces it ten times per second.
 USUAL = files('humanopts_ros') / 'loopback_discovery.xml'
 ANNOUNCEMENTS = re.compile(r'(?<=<discovery_config>).*(?=</discovery_config>)', re.DOTALL)
 LATE = """
@@ -41,7 +41,7 @@ LATE = """
 
 @contextmanager
 def busy_cores() -> Iterator[None]:
-    """Keep every core busy with one process each."""
+    """Keep every core busy."""
     command = [sys.executable, '-c', BUSY]
     processes = [subprocess.Popen(command) for _ in range(os.cpu_count() or 1)]
     try:
@@ -67,9 +67,9 @@ def write_profile(chance: random.Random, path: Path) -> str:
 
 def run_round(chosen: list[str], seed: int, seconds: float) -> bool:
     """
-    Run the tests once; return whether they all passed in time.
+    Run the tests once, with the output of pytest in a log; return whether all passed in time.
 
-    :param chosen: test files; the output of pytest goes to a log, which is printed by name.
+    :param chosen: test files, to run in random order.
     :param seconds: timeout; pytest is then interrupted and ends its nodes and processes.
     """
     chance = random.Random(seed)

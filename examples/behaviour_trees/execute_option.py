@@ -1,8 +1,8 @@
 """
 A leaf of py_trees that runs a taught option.
 
-It needs only rclpy, py_trees and the interfaces of humanopts. It works in ``py_trees_ros``, which
-passes ``node`` to ``setup`` as well.
+It needs only rclpy, py_trees and the interfaces of humanopts. It also works in ``py_trees_ros``,
+which passes ``node`` to ``setup``.
 """
 
 from typing import Any
@@ -16,10 +16,10 @@ from rclpy.action import ActionClient
 
 class ExecuteOption(Behaviour):
     """
-    Runs an option by the action ``execute_option``.
+    Run an option through the action ``execute_option``.
 
-    RUNNING until it has ended; SUCCESS if the option ended as it should, otherwise FAILURE. The
-    reason is in ``feedback_message``. If the tree stops the leaf, the run is canceled.
+    The status is RUNNING during the run, then SUCCESS if the goal succeeded, otherwise FAILURE.
+    The reason is in ``feedback_message``. If the tree stops the leaf, the run is canceled.
     """
 
     def __init__(
@@ -28,13 +28,13 @@ class ExecuteOption(Behaviour):
         """
         Describe the run.
 
-        :param participant: who taught the option; empty: the only one who did.
-        :param preempt: whether to end another run that is under way; False: this one fails.
+        :param participant: participant who taught the option; empty: the only one who did.
+        :param preempt: whether to end another run in progress; False: this run fails instead.
         """
         super().__init__(name or option_name)
         self._goal = Action.Goal(option_name=option_name, participant=participant, preempt=preempt)
         self._client: ActionClient | None = None
-        self._handle: Any = None  # of the accepted goal; None: none
+        self._handle: Any = None  # of the accepted goal; None: no goal
         self._run = 0  # counts goals; answers to earlier ones are ignored
         self._ended: Status | None = None
 
@@ -47,14 +47,14 @@ class ExecuteOption(Behaviour):
         self._client = ActionClient(arguments['node'], Action, 'execute_option')
 
     def initialise(self) -> None:
-        """Forget the last run."""
+        """Reset the leaf for a new run."""
         self._run += 1
         self._handle = self._ended = None
         self._sent = False
         self.feedback_message = 'waits for execute_option'
 
     def update(self) -> Status:
-        """Send the goal when the server is there, and return how the run is going."""
+        """Send the goal when the server is available, and return the status of the run."""
         assert self._client is not None, 'setup was called'
         if not self._sent and self._client.server_is_ready():
             self._sent, run = True, self._run
@@ -66,7 +66,7 @@ class ExecuteOption(Behaviour):
         return self._ended or Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:
-        """Cancel the run if it is under way."""
+        """Cancel the run if it is in progress."""
         if new_status is Status.INVALID:
             self._run += 1
             if self._handle is not None:

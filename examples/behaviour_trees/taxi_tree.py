@@ -1,4 +1,4 @@
-"""A behaviour tree of two taught options plays Taxi, next to a running graph."""
+"""Play Taxi with a behaviour tree of two taught options, next to a running graph."""
 
 from execute_option import ExecuteOption
 from py_trees.behaviour import Behaviour

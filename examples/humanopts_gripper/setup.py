@@ -11,5 +11,5 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
     ],
-    entry_points={'console_scripts': ['rover = humanopts_gripper.node:main']},
+    entry_points={'console_scripts': ['gripper = humanopts_gripper.node:main']},
 )

@@ -1,7 +1,7 @@
 """
 A robot of the simulator IR-SIM on ROS 2 topics: odometry and scan out, velocities in.
 
-``pip install ir-sim``, then ``python driver.py yard.yaml``.
+Run ``pip install ir-sim``, then ``python driver.py yard.yaml``.
 """
 
 import math
@@ -21,7 +21,7 @@ COMMAND_TIMEOUT = 0.25  # s
 
 
 class Driver(Node):
-    """Steps the simulator in real time."""
+    """Step the simulator in real time."""
 
     def __init__(self, yard: str) -> None:
         super().__init__('irsim')

@@ -18,7 +18,7 @@ from humanopts_learner.qlearning import EnvLearner
 
 
 def main() -> None:
-    """Print how many of every ten episodes ended the task, and the mean number of steps."""
+    """Print the number of solved episodes in each ten, and the mean number of steps."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('env', help='id of the Gymnasium environment')
     parser.add_argument('folder', type=Path, help='folder of a lesson, with its options')
@@ -30,7 +30,7 @@ def main() -> None:
         parser.error(f'{given.folder / "options"} has no options, or damaged ones')
     domain = domain_from_json(options[0].domain, options[0].domain_parameters)
     names = {name for option in options for name in option.features}
-    columns = feature_columns(domain, names)  # the table is over what the options depend on
+    columns = feature_columns(domain, names)  # the Q-table covers the features of the options
     for chosen in (options, []):
         env = OptionsEnv(gymnasium.make(given.env), chosen, primitives=not chosen)
         print(f'actions: {", ".join(env.option_names)}')

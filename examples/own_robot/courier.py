@@ -1,8 +1,9 @@
 """
-A courier whose battery decides what to do next: a robot that is taught like ``rover``.
+A courier in a street: a robot that is taught like ``rover``.
 
-Batteries are changed at the west end of its street. Neither *deliver* nor *charge* needs the
-battery, but the choice between them does. ``street.py`` has its rules, which no other node knows.
+Batteries are changed at the west end of the street. Neither *deliver* nor *charge* depends on the
+battery, but the choice between them does. No other node knows the rules, which are in
+``street.py``.
 """
 
 from humanopts_interfaces.msg import ActionInfo, DomainInfo, FeatureInfo

@@ -1,9 +1,9 @@
 """
 A robot that is taught like a game: one rclpy node, which shares only messages with humanopts.
 
-It simulates a robot driver: a rover in a corridor of 10 m, with a charger at the west end. It only
-executes actions: no other node knows its rules, and no state can be set. At a reset, a person
-carries it to another place.
+The node simulates a rover in a corridor of 10 m, with a charger at the west end. It only executes
+actions: no other node knows its rules, and no state can be set. At a reset, a person carries the
+rover to another place.
 """
 
 import json
@@ -59,7 +59,7 @@ class Robot(Node):
         self._id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
         self._sequences: dict[str, int] = {}
         self._now, self._actions = GameState(), {action.name for action in info.actions}
-        # Publish the id on the graph, so that no other node can publish in its place.
+        # Announce the id on the graph, so that no other node can publish in its place.
         name, part = self.get_name(), self._id.partition('#')[2]
         self._mark = self.create_publisher(Empty, f'_game/{name}/_{part}', 1)
         self._out = {
@@ -80,7 +80,7 @@ class Robot(Node):
         raise NotImplementedError
 
     def execute(self, action: str, step: int) -> dict[str, float | bool]:
-        """Execute an action; return its reward, and whether the episode ends with this step."""
+        """Execute an action; return its reward, and how the episode ends if it does."""
         raise NotImplementedError
 
     def sense(self) -> list[float]:
@@ -94,7 +94,7 @@ class Robot(Node):
         self._out[topic].publish(message)
 
     def _show(self, **step) -> None:
-        """Publish the state with the step that led to it."""
+        """Publish the state and the step that led to it."""
         features = self.sense()
         state = json.dumps(features)  # any text; only this node reads it
         self._now = GameState(state=state, features=features, **step)

@@ -1,11 +1,11 @@
-"""A courier in a street, who must not run out of power: the rules, in plain Python."""
+"""The rules of a courier in a street, who must not run out of power, in plain Python."""
 
 import random
 
 CHARGER, BASE = -8, 0  # cells, from west to east
 NEAREST, FARTHEST = 2, 6  # cells of targets
-FULL, STEP = 100.0, 1.5  # charge of a full battery, and what a step takes, %
-SLIP = 0.1  # chance that a move does not succeed
+FULL, STEP = 100.0, 1.5  # charge of a full battery, and charge used per step, %
+SLIP = 0.1  # probability that a move fails
 MAX_STEPS, GAMMA = 200, 0.995  # of an episode
 ACTIONS = {
     'west': ('left', 'drive west'),
@@ -26,14 +26,14 @@ FEATURES = {
 
 class Street:
     """
-    Parcels are carried from a base to the east, and batteries are changed in the west.
+    A street: parcels are carried from a base to the east, and batteries are changed in the west.
 
-    A delivery gives reward 1. At the base it gets a parcel for a new target. An empty battery ends
-    the episode.
+    A delivery earns 1. On return to the base, the courier gets a parcel for a new target. An empty
+    battery ends the episode.
     """
 
     def reset(self, seed: int) -> None:
-        """Begin an episode at the base, with some charge."""
+        """Start an episode at the base, with a random charge."""
         self.chance = random.Random(seed)
         self.cell, self.errand, self.steps = BASE, 'none', 0
         self.target = self.chance.randint(NEAREST, FARTHEST)
@@ -58,7 +58,7 @@ class Street:
 
     @property
     def empty(self) -> bool:
-        """Whether the battery is empty, so that the task is over."""
+        """Whether the battery is empty, which ends the task."""
         return self.battery <= 0
 
     @property

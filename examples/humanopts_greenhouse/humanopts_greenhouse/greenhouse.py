@@ -56,8 +56,8 @@ class GreenhouseState:
 
     row: int
     col: int
-    full: bool  # the can
-    dry: tuple[bool, bool, bool]  # each of BEDS
+    full: bool  # whether the can is full
+    dry: tuple[bool, bool, bool]  # whether each of BEDS is dry
 
 
 class Greenhouse(TableDomain[GreenhouseState]):
@@ -172,7 +172,7 @@ class Greenhouse(TableDomain[GreenhouseState]):
         )
 
     def baselines(self) -> Baselines:
-        """Return the baseline of plans: a hand-written rule."""
+        """Return the baseline for plans: a hand-written rule."""
         from humanopts_greenhouse.reference import reference_options  # avoids a circular import
 
         options = reference_options(self).values()  # at most one of them can start

@@ -49,8 +49,8 @@ def _option(
     """
     Return an option that follows shortest paths, and ends wherever it cannot start.
 
-    :param starts: (S,), whether it can start there while the task is not over.
-    :param goal: (S, A), the steps that reach its goal.
+    :param starts: (S,) whether the option can start in each state if the task is not over.
+    :param goal: (S, A) whether each step reaches the goal.
     """
     visited = reachable(domain)
     initiation = starts & visited & ~domain.over()

@@ -49,7 +49,7 @@ class TestItsOptions(ReferenceContract):
 
 
 def after(text: str, action: int) -> tuple[str, float, bool]:
-    """Take one step from a state in words."""
+    """Take one step from an encoded state."""
     outcome = HOUSE.step(HOUSE.decode(text), action, generator(0, 'test'))
     return HOUSE.encode(outcome.state), outcome.reward, outcome.terminated
 

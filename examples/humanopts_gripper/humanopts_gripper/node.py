@@ -1,10 +1,10 @@
 """
-The node ``gripper``: a device that is driven by services, in plain ROS 2.
+The node ``gripper``: a device controlled by services, in plain ROS 2.
 
 Publishes ``joint_states``, ``object`` (its pose, from the camera in the gripper), ``holding`` and
 ``in_bin``. Each motion is a service of std_srvs/Trigger that answers when the motion has ended:
 ``left``, ``right``, ``lower``, ``raise``, ``open``, ``close``. ``stop`` ends a motion.
-``put_object`` is the hand of a person.
+``put_object`` acts as a person's hand.
 """
 
 import threading
@@ -22,11 +22,11 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 TICK = 0.04  # s
-LONGEST = 5.0  # s that a motion may take
+LONGEST = 5.0  # s, timeout of a motion
 
 
 class GripperNode(Node):
-    """Steps the mechanics by a timer; the services of motions wait in a thread of their own."""
+    """Step the mechanics by a timer; the motion services wait in a separate thread."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('gripper', **options)

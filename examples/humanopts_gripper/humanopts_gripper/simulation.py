@@ -8,10 +8,10 @@ holds the object if it was closed around it.
 import random
 
 RAIL = 1.0  # length of the rail
-STRIDE, SLIP = 0.1, 0.01  # of one motion along the rail, and its standard deviation
-LOW = 0.2  # how far the gripper is lowered
-WIDE = 0.08  # between the open fingers
-REACH = 0.05  # from the middle of the object at which it can be grasped
+STRIDE, SLIP = 0.1, 0.01  # length of one motion along the rail, and its standard deviation
+LOW = 0.2  # distance by which the gripper is lowered
+WIDE = 0.08  # gap between the open fingers
+REACH = 0.05  # maximum distance from the middle of the object for a grasp
 BIN = 0.9, 0.08  # middle and half width of the bin
 SPEED = {'slider': 0.4, 'lift': 0.5, 'fingers': 0.2}  # m/s
 MOTIONS = ('left', 'right', 'lower', 'raise', 'open', 'close')
@@ -24,11 +24,11 @@ class Gripper:
     :ivar joints: the position of ``slider`` along the rail, of ``lift`` below the rail, and the
         gap between the ``fingers``.
     :ivar object: position of the object along the rail.
-    :ivar holding: whether the gripper holds it.
+    :ivar holding: whether the gripper holds the object.
     """
 
     def __init__(self, seed: int = 0) -> None:
-        """:param seed: of the places of objects and the slip of the slider."""
+        """:param seed: seed of the places of objects and the slip of the slider."""
         self._chance = random.Random(seed)
         self.joints = {'slider': 0.5, 'lift': 0.0, 'fingers': WIDE}
         self._goals = dict(self.joints)
@@ -36,7 +36,7 @@ class Gripper:
         self.put_object()
 
     def put_object(self) -> None:
-        """Let a hand put the object somewhere outside of the bin."""
+        """Put the object at a random place outside of the bin, as a hand would."""
         self.holding = False
         self.object = self._chance.uniform(0.05, BIN[0] - 2 * BIN[1])
 
@@ -45,7 +45,7 @@ class Gripper:
         Begin a motion.
 
         :raises KeyError: there is no such motion.
-        :raises ValueError: it cannot be done now; the text says why.
+        :raises ValueError: the motion is impossible now; the text gives the reason.
         """
         if motion in ('left', 'right'):
             if self.joints['lift'] > 0.01:
@@ -66,11 +66,11 @@ class Gripper:
         return self.joints != self._goals
 
     def stop(self) -> None:
-        """Stay where it is."""
+        """Stop all motions."""
         self._goals = dict(self.joints)
 
     def step(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         before = self.joints['fingers']
         for joint, goal in self._goals.items():
             way = SPEED[joint] * seconds
@@ -84,5 +84,5 @@ class Gripper:
             self.object = slider
 
     def is_in_bin(self) -> bool:
-        """Return whether the object is in the bin, and let go."""
+        """Return whether the object is in the bin and released."""
         return not self.holding and abs(self.object - BIN[0]) < BIN[1]

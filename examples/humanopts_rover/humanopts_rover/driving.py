@@ -1,4 +1,4 @@
-"""How the rover drives to a pose: along the path, then turning in place. Pure."""
+"""Driving to a pose, without ROS: first along a path, then turning in place."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -6,14 +6,14 @@ import math
 
 from humanopts_rover.simulation import Point, Pose, turn
 
-CLOSE, ALIGNED = 0.05, 0.1  # m, rad: there
-SLOW = 0.6  # m from the goal at which it slows down
-FAST, TURNING = 0.4, 1.0  # m/s, rad/s
+CLOSE, ALIGNED = 0.05, 0.1  # m, rad; tolerances of a reached goal
+SLOW = 0.6  # m from the goal at which the rover slows down
+FAST, TURNING = 0.4, 1.0  # maximum speeds, m/s, rad/s
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A speed that leads along a path, and what remains of it."""
+    """The speeds for following a path, and its remaining length."""
 
     linear: float  # m/s
     angular: float  # rad/s
@@ -23,9 +23,9 @@ class Drive:
 
 def drive(pose: Pose, path: list[Point], goal: Pose) -> Drive:
     """
-    Return the speed now.
+    Return the speeds at a pose.
 
-    :param path: its corners from ``pose`` to ``goal``, both included.
+    :param path: corners of the path from ``pose`` to ``goal``, both included.
     """
     remaining = sum(math.dist(a, b) for a, b in pairwise(path))
     if remaining < CLOSE:

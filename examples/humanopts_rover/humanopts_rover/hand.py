@@ -18,7 +18,7 @@ def call(node: Node, kind: Any, name: str, request: Any) -> Any:
     """
     Call a service of the rover, and return its answer.
 
-    :raises SystemExit: nothing answers.
+    :raises SystemExit: the service does not exist.
     """
     client = node.create_client(kind, name)
     if not client.wait_for_service(timeout_sec=PATIENCE):
@@ -29,7 +29,7 @@ def call(node: Node, kind: Any, name: str, request: Any) -> Any:
 
 
 def carry(node: Node, x: float, y: float, yaw: float) -> None:
-    """Carry the rover to a pose; it stays where it is if it has no room there."""
+    """Carry the rover to a pose; without enough room there, it stays where it is."""
     publisher = node.create_publisher(PoseStamped, 'carry_to', 1)
     pose = PoseStamped(header=messages.stamped(0.0, messages.FRAME))
     pose.pose.position.x, pose.pose.position.y = x, y
@@ -41,7 +41,7 @@ def carry(node: Node, x: float, y: float, yaw: float) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Do one thing."""
+    """Run one command; return the exit status."""
     parser = argparse.ArgumentParser(prog='hand', description=__doc__)
     commands = parser.add_subparsers(dest='command', required=True)
     carried = commands.add_parser('carry', help='carry the rover to a pose, or somewhere')

@@ -1,4 +1,4 @@
-"""What the rover's sensors publish: values of the simulation as ROS messages."""
+"""The messages of the rover's sensors, with values of the simulation."""
 
 import math
 from typing import Any
@@ -14,18 +14,18 @@ FRAME, BASE, LASER = 'odom', 'base_link', 'laser'
 
 
 def stamped(seconds: float, frame: str) -> Header:
-    """Return the header of what was measured at a time, s."""
+    """Return the header of a measurement at a time, s."""
     sec = math.floor(seconds)
     return Header(stamp=Time(sec=sec, nanosec=int((seconds - sec) * 1e9)), frame_id=frame)
 
 
 def quaternion(yaw: float) -> Quaternion:
-    """Return a turn about the vertical axis."""
+    """Return the rotation about the vertical axis by an angle, rad."""
     return Quaternion(z=math.sin(yaw / 2), w=math.cos(yaw / 2))
 
 
 def yaw_of(turned: Quaternion) -> float:
-    """Return the turn about the vertical axis, rad."""
+    """Return the angle of a rotation about the vertical axis, rad."""
     return math.atan2(
         2 * (turned.w * turned.z + turned.x * turned.y), 1 - 2 * (turned.y**2 + turned.z**2)
     )
@@ -51,7 +51,7 @@ def transform_message(measured: Odometry, seconds: float = 0.0) -> TransformStam
 
 
 def scan_message(rover: Simulation, seconds: float = 0.0) -> LaserScan:
-    """Return a scan all around, counterclockwise from behind."""
+    """Return a scan of all directions, counterclockwise from behind."""
     step = 2 * math.pi / BEAMS
     return LaserScan(
         header=stamped(seconds, LASER),
@@ -65,7 +65,7 @@ def scan_message(rover: Simulation, seconds: float = 0.0) -> LaserScan:
 
 
 def waypoint_message(rover: Simulation, place: str, seconds: float = 0.0) -> PointStamped:
-    """Return the next corner of the way to a place; the place itself if no way leads there."""
+    """Return the next corner of the path to a place; the place itself if there is no path."""
     x, y = rover.waypoint(place)
     return PointStamped(header=stamped(seconds, FRAME), point=Point(x=x, y=y))
 
@@ -85,7 +85,7 @@ def battery_message(rover: Simulation, seconds: float = 0.0) -> BatteryState:
 
 
 def sensed(rover: Simulation) -> dict[str, Any]:
-    """Return what the rover senses now, by the names of the topics in ``worlds/rover.yaml``."""
+    """Return the current sensor messages, by topic name in ``worlds/rover.yaml``."""
     return {
         'odom': odometry_message(rover.odometry()),
         'scan': scan_message(rover),

@@ -1,10 +1,10 @@
 """
-The node ``rover``: the driver of a robot as it is found on many, in plain ROS 2.
+The node ``rover``: a typical robot driver in plain ROS 2.
 
-Publishes ``odom``, ``scan``, ``battery``, ``waypoint/PLACE`` (the next corner of the way there),
-``doors/DOOR`` and, with tf2_msgs, ``/tf``. Obeys ``cmd_vel`` for 0.25 s after each command, and
-the action ``drive_to``. The hands of people are the services ``doors/DOOR/set`` and
-``carry_somewhere`` and the topic ``carry_to``.
+Publishes ``odom``, ``scan``, ``battery``, ``waypoint/PLACE`` (the next corner of the path there),
+``doors/DOOR`` and, with tf2_msgs, ``/tf``. Obeys each command on ``cmd_vel`` for 0.25 s, and the
+action ``drive_to``. The services ``doors/DOOR/set`` and ``carry_somewhere`` and the topic
+``carry_to`` act as people's hands.
 """
 
 import math
@@ -37,9 +37,9 @@ try:
 except ImportError:  # not among the wheels on PyPI
     TFMessage = None
 
-COMMAND_TIMEOUT = 0.25  # s of the simulation after which a command is no longer obeyed
+COMMAND_TIMEOUT = 0.25  # s of simulated time for which a command is obeyed
 SENSORS_EVERY, WAYS_EVERY, SLOW_EVERY = 2, 4, 10  # ticks of TICK s between messages
-STUCK = 5.0  # s without coming closer to a goal
+STUCK = 5.0  # s without progress after which a goal is aborted
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FAULTS = {
     'scan_fault': ('none', 'stopped', 'nan'),
@@ -49,7 +49,7 @@ FAULTS = {
 
 
 class Goal:
-    """A goal of ``drive_to`` on its way."""
+    """An active goal of ``drive_to``."""
 
     def __init__(self, handle: ServerGoalHandle, now: float) -> None:
         at = handle.request.pose.pose
@@ -59,7 +59,7 @@ class Goal:
 
 
 class Rover(Node):
-    """Steps the simulation by a timer, publishes what it measures, and obeys."""
+    """Step the simulation by a timer, publish the measurements, and execute commands."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('rover', **options)
@@ -67,7 +67,7 @@ class Rover(Node):
         seed = self.declare_parameter('seed', 0, fixed).value
         noise = self.declare_parameter('noise', True, fixed).value
         speed = self.declare_parameter('speed', 1.0, fixed).value
-        # Whether to publish /clock, which is needed at any other speed than 1.
+        # Whether to publish /clock, which is needed at any speed other than 1.
         self._has_clock = self.declare_parameter('clock', speed != 1.0, fixed).value
         for name in FAULTS:
             self.declare_parameter(name, 'none')
@@ -106,7 +106,7 @@ class Rover(Node):
             self,
             DriveTo,
             'drive_to',
-            execute_callback=lambda handle: DriveTo.Result(),  # _end gives each its own
+            execute_callback=lambda handle: DriveTo.Result(),  # _end returns the actual result
             goal_callback=self._asked,
             handle_accepted_callback=self._accept,
             cancel_callback=lambda handle: CancelResponse.ACCEPT,
@@ -128,7 +128,7 @@ class Rover(Node):
         return SetParametersResult(successful=True)
 
     def _tick(self) -> None:
-        """Step by as much time as has passed; with a clock of its own, by a tick."""
+        """Step by the elapsed time; by one tick if the node publishes /clock."""
         now = time.monotonic()
         dt = TICK if self._has_clock else min(now - self._last, 0.5)
         self._last, self._ticks, self._now = now, self._ticks + 1, self._now + dt
@@ -204,7 +204,7 @@ class Rover(Node):
         self._goal = Goal(handle, self._now)
 
     def _pursue(self, goal: Goal) -> None:
-        """Drive towards the goal of the action for a tick, or end it."""
+        """Drive towards the goal of the action for one tick, or end the goal."""
         if self._fault('drive_to_fault') == 'no_result':
             return
         if goal.handle.is_cancel_requested:
@@ -229,7 +229,7 @@ class Rover(Node):
                 goal.handle.publish_feedback(DriveTo.Feedback(distance_remaining=now.remaining))
 
     def _end(self, status: int, message: str = '') -> None:
-        """End the goal of the action; it is executed only now, when its result is known."""
+        """End the goal of the action; it is executed only now that its result is known."""
         goal, self._goal = self._goal, None
         if status != DriveTo.Result.STATUS_OVERRIDDEN:
             self._command = Twist()

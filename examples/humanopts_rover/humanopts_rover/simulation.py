@@ -1,7 +1,7 @@
 """
 The physics of the rover and its house, without ROS.
 
-``Simulation`` is what a node or an experiment steps::
+A node or an experiment steps a ``Simulation``::
 
     rover = Simulation(seed=1)
     rover.place_randomly()
@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 
 WIDTH, HEIGHT = 8.0, 5.0  # of the house
 RADIUS = 0.18  # of the rover, a disc
-CLEAR = RADIUS + 0.02  # from a planned path to walls
-PASSED = 0.15  # from a corner of the path
-BEFORE_DOCK = 0.8  # from where it drives straight into the dock
+CLEAR = RADIUS + 0.02  # minimum distance from a planned path to walls
+PASSED = 0.15  # distance within which a corner of a path is passed
+BEFORE_DOCK = 0.8  # distance from which the rover drives straight into the dock
 MAX_LINEAR, MAX_ANGULAR = 0.6, 1.6  # m/s, rad/s
-ACCELERATION = 3.0, 12.0  # m/s^2, rad/s^2; it stops from full speed within 0.2 s
+ACCELERATION = 3.0, 12.0  # m/s^2, rad/s^2; the rover stops from full speed within 0.2 s
 BEAMS, MIN_RANGE, MAX_RANGE = 24, 0.05, 10.0
-TICK = 0.02  # s, of the integration
+TICK = 0.02  # s, integration step
 CHARGING_RADIUS = 0.4  # m around the charger
-DRAIN, DRAIN_MOVING, CHARGE = 0.0005, 0.002, 0.05  # of the battery in a second
+DRAIN, DRAIN_MOVING, CHARGE = 0.0005, 0.002, 0.05  # share of the battery per second
 GRIP, RANGE_NOISE, POSE_NOISE = 0.03, 0.01, 0.004  # standard deviations: share of speed, m, m
 
 Point = tuple[float, float]
@@ -36,7 +36,7 @@ Segment = tuple[float, float, float, float]  # x, y of both ends
 
 
 class Pose(NamedTuple):
-    """Where the rover is, and where it looks."""
+    """The position and heading of the rover."""
 
     x: float
     y: float
@@ -69,7 +69,7 @@ WALLS: tuple[Segment, ...] = (
     *_box(*TABLES[1]),
 )
 DOORS: dict[str, Segment] = {'door': (WALL, 2.0, WALL, 3.0), 'side_door': (WALL, 4.1, WALL, 5.0)}
-ROOMS = {'west': (0.0, WALL), 'east': (WALL, WIDTH)}  # from and to which x
+ROOMS = {'west': (0.0, WALL), 'east': (WALL, WIDTH)}  # range of x
 PLACES = {
     'charger': Pose(7.2, 0.8, 0.0),
     'dock': Pose(0.6, 4.0, math.pi),
@@ -79,7 +79,7 @@ PLACES = {
 
 
 def turn(angle: float) -> float:
-    """Return an angle as one from -pi to pi."""
+    """Return the equivalent angle from -pi to pi."""
     return math.remainder(angle, 2 * math.pi)
 
 
@@ -91,7 +91,7 @@ class Simulation:
     :ivar linear: the true speed, m/s.
     :ivar angular: the true turning speed, rad/s.
     :ivar battery: charge, 0 to 1; an empty rover does not move.
-    :ivar bumped: whether a wall or a closed door stopped it in the last step.
+    :ivar bumped: whether a wall or a closed door stopped the rover in the last step.
     :ivar doors: whether each door is open.
     """
 
@@ -99,8 +99,8 @@ class Simulation:
         """
         Put the rover into the west room.
 
-        :param seed: of slipping wheels, noise of the sensors, and random places.
-        :param noise: False for exact wheels and sensors.
+        :param seed: seed of slipping wheels, sensor noise, and random places.
+        :param noise: whether wheels and sensors are noisy.
         """
         self._wheels, self._sensors, self._hand = map(
             np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
@@ -157,7 +157,7 @@ class Simulation:
         return Odometry(float(x), float(y), turn(float(yaw)), self.linear, self.angular)
 
     def scan(self) -> NDArray[np.float64]:
-        """Measure the distance to what is around (BEAMS,); beam i is at -pi + i * 2 pi / BEAMS."""
+        """Measure the ranges (BEAMS,); beam i is at -pi + i * 2 pi / BEAMS."""
         x, y, yaw = self.pose
         angles = yaw - math.pi + np.arange(BEAMS) * (2 * math.pi / BEAMS)
         way = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None]  # (BEAMS, 1, 2)
@@ -169,9 +169,9 @@ class Simulation:
 
     def path(self, place: str) -> list[Point]:
         """
-        Return the corners of the shortest way from the true pose to a place, both included.
+        Return the corners of the shortest path from the true pose to a place, both included.
 
-        :return: empty if closed doors are in the way.
+        :return: empty if closed doors block every path.
         :raises KeyError: there is no such place.
         """
         return self.path_to(PLACES[place][:2])
@@ -180,8 +180,8 @@ class Simulation:
         """
         Return the next corner of the path to a place; the place itself if there is no path.
 
-        A corner is passed within PASSED of it. The way into the dock leads over a point before it,
-        until the rover is in line with it.
+        A corner is passed within ``PASSED`` of it. The path into the dock leads through a point in
+        front of the dock until the rover is aligned with it.
         """
         x, y, yaw = PLACES[place]
         if place == 'dock':
@@ -194,7 +194,7 @@ class Simulation:
         return next(ahead, (x, y))
 
     def path_to(self, goal: Point) -> list[Point]:
-        """Return the corners of the shortest way to a point, as ``path`` does."""
+        """Return the corners of the shortest path to a point, as ``path`` does."""
         here, corners = self.pose[:2], self._corners
         if not self.is_free(*goal):
             return []
@@ -211,7 +211,7 @@ class Simulation:
         return [here, *((float(x), float(y)) for x, y in corners[way]), goal]
 
     def _reach(self, here: Point, there: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances (N,) to points (N, 2); infinite without a straight free way."""
+        """Return the distances (N,) to points (N, 2); infinite if no straight path is free."""
         margin = min(CLEAR, self.clearance(here) - 0.01)
         away = np.hypot(*(there - here).T)
         return np.where(self._sees(here, there, margin), away, np.inf)
@@ -220,7 +220,7 @@ class Simulation:
         """
         Carry the rover to a pose by hand.
 
-        :raises ValueError: it would be in a wall or outside of the house.
+        :raises ValueError: the rover would be in a wall or outside of the house.
         """
         if not (0 < x < WIDTH and 0 < y < HEIGHT and math.isfinite(yaw)) or not self.is_free(x, y):
             raise ValueError(f'the rover has no room at x {x:.2f} m, y {y:.2f} m')
@@ -228,9 +228,9 @@ class Simulation:
 
     def place_randomly(self, room: str | None = None, margin: float = 0.1) -> None:
         """
-        Carry the rover to a random pose, of a room if one is named.
+        Carry the rover to a random pose, in the given room if any.
 
-        :param margin: least distance between the rover and a wall, m.
+        :param margin: minimum distance between the rover and a wall, m.
         """
         left, right = ROOMS[room] if room else (0.0, WIDTH)
         while True:
@@ -268,7 +268,7 @@ class Simulation:
         return float(_distances(np.array(at), self._solid).min())
 
     def _furnish(self) -> None:
-        """Find the shortest ways between doorways and corners of tables (Floyd's algorithm)."""
+        """Find the shortest paths between doorways and corners of tables (Floyd's algorithm)."""
         shut = [DOORS[name] for name, is_open in self.doors.items() if not is_open]
         self._solid = np.array([*WALLS, *shut])
         corners: list[Point] = []
@@ -312,9 +312,9 @@ def _crossings(
     here: NDArray[np.float64], ways: NDArray[np.float64], segments: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """
-    Return where ways (N, 1, 2) from a point cross segments (M, 4).
+    Return where vectors (N, 1, 2) from a point cross segments (M, 4).
 
-    :return: as shares of the way and of the segment, (N, M) each; infinite or NaN if parallel.
+    :return: as shares of the vector and of the segment, (N, M) each; infinite or NaN if parallel.
     """
     start, along = segments[:, :2] - here, segments[:, 2:] - segments[:, :2]
     with np.errstate(divide='ignore', invalid='ignore'):

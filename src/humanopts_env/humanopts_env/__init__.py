@@ -1,5 +1,5 @@
 """
-Games as domains: rules without hidden state, reference options, Gymnasium in both directions.
+Games as domains: rules without hidden state, reference options, conversion to and from Gymnasium.
 
 The entry point is ``make_domain('taxi')``. Everything here works without ROS.
 """

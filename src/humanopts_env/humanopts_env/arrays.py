@@ -1,4 +1,4 @@
-"""Array types by content; axes are documented with each array."""
+"""Array types, named by content; axes are documented with each array."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -38,13 +38,13 @@ class Mark:
 
     cell: Cell
     kind: str  # one character: one of the shapes above, or a letter
-    name: str  # in the legend, which groups marks by name
+    name: str  # text in the legend; marks with equal names are grouped
     colour: str = ''  # one of ``colours``; empty: text colour
 
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """The visible part of a state. Blocks and walls are equal in all states of a domain."""
+    """The visible part of a state. Blocks and walls are the same in all states of a domain."""
 
     rows: int = 0
     cols: int = 0
@@ -52,11 +52,11 @@ class Board:
     walls: tuple[Wall, ...] = ()  # straight lines along the edges of cells
     marks: tuple[Mark, ...] = ()  # the first mark of a cell is in front
     notes: tuple[str, ...] = ()  # information that is not drawn
-    colour: str = ''  # of blocks and walls
+    colour: str = ''  # colour of blocks and walls
     dotted: bool = True  # draw a dot in each empty cell, so that cells are easy to count
     picture: str = ''  # text drawing of a world without cells
     image: Image | None = field(default=None, compare=False)  # image of a world without cells
-    unseen: str = 'hidden: {name} in row {row}, column {col}'  # note on a mark without room
+    unseen: str = 'hidden: {name} in row {row}, column {col}'  # note for a mark that does not fit
 
     @property
     def drawn(self) -> bool:
@@ -80,14 +80,14 @@ class Board:
         return found
 
     def marks_by_cell(self) -> dict[Cell, list[Mark]]:
-        """Return the marks by cell, for cells with marks."""
+        """Return the marks of each cell that has any."""
         found: dict[Cell, list[Mark]] = {}
         for mark in self.marks:
             found.setdefault(mark.cell, []).append(mark)
         return found
 
     def empty_cells(self) -> list[Cell]:
-        """Return the cells with neither a block nor a mark if the board is dotted."""
+        """Return the cells without a block or a mark; none if the board is not dotted."""
         taken = {*self.blocks, *(mark.cell for mark in self.marks)}
         cells = product(range(self.rows), range(self.cols)) if self.dotted else ()
         return [cell for cell in cells if cell not in taken]
@@ -100,7 +100,7 @@ def signs(board: Board, scale: int = 1) -> list[list[Sign]]:
     A cell is two characters wide and shows two marks; on boards with walls between cells, it is
     three characters wide and shows three marks.
 
-    :param scale: factor by which cells are wider and higher, from 1.
+    :param scale: factor for the width and height of cells, at least 1.
     """
     if not board.rows:
         lines = board.picture.split('\n') if board.picture else []
@@ -108,7 +108,7 @@ def signs(board: Board, scale: int = 1) -> list[list[Sign]]:
         return [_plain(line.ljust(width)) for line in lines]
     down, across, edge = (2 * scale, 4 * scale, 0) if board.walls else (scale, 2 * scale, 1)
     bottom, right = down * board.rows + edge, across * board.cols + edge
-    width, height = across + edge - 1, down + edge - 1  # of the inside of a cell
+    width, height = across + edge - 1, down + edge - 1  # size inside a cell
     arms = np.zeros((bottom + 1, right + 1), dtype=np.intp)
     inner = [(down * a, across * b, down * c, across * d) for a, b, c, d in board.walls]
     for top, left, end, last in (*_frame(bottom, right), *inner):
@@ -134,7 +134,7 @@ def caption(board: Board, width: int = CAPTION_WIDTH) -> list[list[Sign]]:
     """
     Return the lines below the board.
 
-    :param width: line width in characters; only a single longer piece exceeds it.
+    :param width: line width in characters, exceeded only by a longer single piece.
     """
     lines: list[list[Sign]] = []
     for pieces in captions(board):
@@ -172,7 +172,7 @@ def board_text(board: Board) -> str:
 
 
 def plain_picture(text: str) -> str:
-    """Return the drawing that a world makes for terminals, with blocks instead of highlights."""
+    """Convert a world's terminal drawing to plain text, with blocks instead of highlights."""
     blocks = _HIGHLIGHT.sub(lambda match: BLOCK * len(match[1]), text)
     return _ESCAPE.sub('', blocks).rstrip()
 
@@ -190,7 +190,7 @@ def _style(mark: Mark) -> str:
 
 
 def runs(line: list[Sign]) -> list[Sign]:
-    """Merge a line into texts of one style each."""
+    """Merge adjacent characters of the same style."""
     return [
         (''.join(sign for sign, _ in group), style)
         for style, group in groupby(line, key=lambda sign: sign[1])

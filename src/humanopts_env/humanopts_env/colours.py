@@ -1,5 +1,5 @@
 """
-Text colours that are readable on black and on white, by their rich names.
+Text colours, by their rich names, that are readable on black and on white.
 
 Each is one of the 240 fixed colours of 256-colour terminals, so that themes do not change it. Its
 contrast with black and with white is 3.5 or more (WCAG 2.2, success criterion 1.4.11, requires 3).

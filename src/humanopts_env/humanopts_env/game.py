@@ -3,7 +3,7 @@ A world in lock-step: one step per accepted command of a person or a machine.
 
 The values mirror the messages of humanopts_interfaces: the enums have the numbers of
 ``ActionCommand``, ``ActionRefusal``, ``ControlState``, ``GameState``, ``ResetGame`` and
-``SetControl``; the dataclasses have their fields.
+``SetControl``; the dataclasses have the fields of the messages.
 """
 
 from abc import ABC, abstractmethod
@@ -106,7 +106,7 @@ class Transition:
         return (self.episode, self.step) == (other.episode, other.step + 1)
 
     def replaces(self, other: 'Transition') -> bool:
-        """Return whether this is the same step again, because the world has changed since."""
+        """Return whether this transition replaces another of the same step in a changed world."""
         return self.refreshed and (self.episode, self.step) == (other.episode, other.step)
 
 
@@ -122,7 +122,7 @@ def effect_between(domain: ActableDomain, before: Transition, after: Transition)
 
 def transition_from_message(message: Any) -> Transition:
     """
-    Decode a ``GameState``, from rclpy or from a bag reader.
+    Decode a ``GameState``, from rclpy or a bag reader.
 
     :raises ValueError: its source is unknown, or its reward is not finite.
     """
@@ -137,7 +137,7 @@ def check_transition(transition: Transition, domain: ActableDomain) -> Any:
     """
     Check a transition against the rules of its game.
 
-    :return: the decoded state; None: no episode was started.
+    :return: the decoded state; None if no episode was started.
     :raises ValueError: the state, a feature or the action does not belong to the domain.
     """
     if not transition.episode:
@@ -172,7 +172,7 @@ class Control:
     holder: Holder
     holder_id: str
     reason: str
-    supervisor_id: str = ''  # who enabled the machine of a robot; empty: no one
+    supervisor_id: str = ''  # terminal that enabled the machine of a robot; empty if none
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ class Refused:
     reason: Reason
     detail: str
     command: Command
-    episode: int  # the current one
+    episode: int  # the current episode
     step: int
 
 
@@ -214,14 +214,14 @@ class Reply:
 
 class LockStep(ABC):
     """
-    Who may act when: the rules of control and refusal, shared by games and robots.
+    The rules of control and refusal, shared by games and robots.
 
     A command of a machine must refer to the newest step, otherwise it is refused as stale. A
     refused request changes nothing.
 
     :ivar transition: the newest transition; episode 0 before the first reset.
     :ivar control: current control of the game.
-    :ivar paused: reason why commands are refused now; empty: they are executed.
+    :ivar paused: reason why commands are refused now; empty if they are executed.
     """
 
     def __init__(self, domain: ActableDomain) -> None:
@@ -240,8 +240,8 @@ class LockStep(ABC):
 
         :param start_state: state in the domain's notation; empty: drawn with the seed.
         :param seed: seed of the start state and of all random draws of the episode, 0 or greater.
-        :param source: a ``Source``, none means a machine; it is refused while a person holds
-            control.
+        :param source: a ``Source``; NONE counts as a machine, which is refused while a person
+            holds control.
         :raises ValueError: the seed is negative.
         """
         if source not in tuple(Source):
@@ -256,7 +256,7 @@ class LockStep(ABC):
         return Reply(ResetStatus.OK, '', self.transition)
 
     def refusal(self, command: Command) -> Refused | None:
-        """Return the refusal of a command at this moment; None: it would be executed."""
+        """Return the refusal of a command at this moment; None if it would be executed."""
         objection = self._objection(command)
         return None if objection is None else self.refuse(command, *objection)
 
@@ -268,7 +268,7 @@ class LockStep(ABC):
         """
         Take or release control for a person.
 
-        :param hold: whether to take control, not release it.
+        :param hold: True: take control; False: release it.
         :param holder_id: publisher id of the person's terminal.
         """
         if not holder_id:
@@ -297,11 +297,11 @@ class LockStep(ABC):
         """
         Begin an episode; return the text and the features of its first state.
 
-        :raises DomainError: it cannot begin there.
+        :raises DomainError: the state cannot be used.
         """
 
     def _objection(self, command: Command) -> tuple[Reason, str] | None:
-        """Return the reason to refuse a command; None: it can be executed."""
+        """Return the reason to refuse a command; None if it can be executed."""
         transition, machine = self.transition, command.source == Source.MACHINE
         if self.paused:
             return Reason.PAUSED, self.paused
@@ -320,7 +320,7 @@ class LockStep(ABC):
             return Reason.EPISODE_OVER, self._ending()
         if machine and (command.episode, command.step) != (transition.episode, transition.step):
             return Reason.STALE, (
-                f'it answers episode {command.episode} step {command.step}, and the game is at '
+                f'command for episode {command.episode} step {command.step}, but the game is at '
                 f'episode {transition.episode} step {transition.step}'
             )
         try:
@@ -330,7 +330,7 @@ class LockStep(ABC):
         return None
 
     def _claim(self, command: Command) -> Control | None:
-        """Give control to the person of a command; return it if it is new."""
+        """Give control to the person who sent a command; return it, or None if unchanged."""
         if command.source != Source.PERSON or self.control.holder is Holder.PERSON:
             return None
         return self._give(command.publisher_id, 'a person pressed a key')
@@ -340,7 +340,7 @@ class LockStep(ABC):
         return self.control
 
     def _returned(self, reason: str) -> Control:
-        """Take control back from its holder, who is still there."""
+        """End the control of a holder who is still present."""
         return self.release(reason)
 
     def _held(self) -> str:
@@ -444,9 +444,9 @@ class Pacing:
     As without pacing, the first command for a step wins: while it waits, others for the same step
     are refused as stale. A command that would be refused anyway is not delayed.
 
-    :ivar waiting: the delayed command; None: none.
+    :ivar waiting: the delayed command; None if none.
     :ivar period: minimum time between steps of the machine, s.
-    :ivar paused_by: publisher id of the terminal that paused the machine; empty: none.
+    :ivar paused_by: publisher id of the terminal that paused the machine; empty if none.
     """
 
     def __init__(self, game: LockStep, period: float = 0.0) -> None:
@@ -461,7 +461,7 @@ class Pacing:
         Change the pace.
 
         :param period: 0 to MAX_PERIOD, s.
-        :param paused_by: publisher id of the terminal that pauses the machine; empty: none.
+        :param paused_by: publisher id of the terminal that pauses the machine; empty if none.
         :param steps: number of single steps allowed while paused.
         :return: the result of a delayed command that is executed now.
         """
@@ -473,8 +473,8 @@ class Pacing:
         """
         Execute, refuse or delay a command.
 
-        :return: its result, unless it is delayed, and the refusal of a stale delayed command that
-            it replaces.
+        :return: the result of the command, unless it is delayed, and the refusal of a stale
+            delayed command that it replaces.
         """
         game, before = self._game, self.waiting
         paced = self.period or self.paused_by or before is not None

@@ -1,8 +1,8 @@
 """
 N independent games of one domain, stepped in place.
 
-There are three implementations: ``TableGames`` if all states can be listed, the arrays of the
-domain itself if it has them (``HasGames``), and ``StateGames``, state by state, for any domain.
+There are three implementations: ``TableGames`` if all states can be listed, the domain's own
+arrays if it has them (``HasGames``), and ``StateGames``, state by state, for any domain.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,10 +52,10 @@ class Games(Protocol):
         """
 
     def reset(self, games: Ints, chance: np.random.Generator) -> None:
-        """Restart chosen games (M,), like ``Domain.reset``."""
+        """Restart the games with indices (M,), like ``Domain.reset``."""
 
     def take(self, games: Ints) -> Self:
-        """Return copies of chosen games (M,), in any order and number."""
+        """Return copies of the games with indices (M,), in any order, possibly repeated."""
 
     def states(self) -> list[Any]:
         """Return the state of each game."""
@@ -95,7 +95,7 @@ def feature_rows(domain: Domain, states: Sequence[Any]) -> Rows:
 
 
 def chance_of(chance: Chance, games: Ints) -> Chance:
-    """Return the generators of chosen games (M,)."""
+    """Return the generators for the games with indices (M,)."""
     if isinstance(chance, np.random.Generator):
         return chance
     return [chance[game] for game in games.tolist()]

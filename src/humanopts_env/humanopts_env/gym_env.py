@@ -1,7 +1,7 @@
 """
 The domains of this package as Gymnasium environments.
 
-Importing this module registers them, so any of these works::
+Importing this module registers them, so either of these works::
 
     import humanopts_env.gym_env
     env = gymnasium.make('humanopts/Taxi-v0', rows=10, cols=10)
@@ -46,13 +46,13 @@ Mask = NDArray[np.int8]
 
 class DomainEnv(gymnasium.Env[Any, Any]):
     """
-    A domain; actions are action indices.
+    A domain as an environment; actions are indices into ``domain.actions``.
 
     An observation is the index of the state if states can be listed. Otherwise it has the value
-    of every feature, in the order of ``domain.features``: an index into the feature's ``values``,
-    or, if one is continuous, a ``Box`` of float64.
+    of every feature, in the order of ``domain.features``: as indices into the features' ``values``
+    or, if any feature is continuous, in a ``Box`` of float64.
 
-    ``info['action_mask']`` (A,) is 1 for the actions that can change something, as in Gymnasium's
+    ``info['action_mask']`` (A,) is 1 for the actions that can change the state, as in Gymnasium's
     Taxi, and for all actions if that is unknown; ``action_space.sample(mask)`` draws among them.
     The other actions are allowed, too.
 
@@ -105,7 +105,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         return self.domain.feature_values(self._state('features'))
 
     def action_mask(self, state: Any) -> Mask:
-        """Return (A,): 1 for the actions that can change something."""
+        """Return (A,): 1 for the actions that can change the state."""
         if isinstance(self.domain, HasActionMask):
             return self.domain.action_mask(state)
         if not is_enumerable(self.domain):

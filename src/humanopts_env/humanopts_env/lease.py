@@ -1,4 +1,4 @@
-"""Control of the game is a lease, which ends unless its holder renews it."""
+"""The lease of control, which ends unless its holder renews it."""
 
 from collections import OrderedDict
 
@@ -8,11 +8,11 @@ MAX_KNOWN = 1000  # known publishers
 
 class Lease:
     """
-    The lease of control; any message from its holder renews it.
+    A lease of control; any message from its holder renews it.
 
     Silence is counted in checks, not in seconds, so that a delay of the game itself does not end
     the lease. A publisher id is a node name and a random part that changes when the node is
-    restarted: ``/keyboard_teleop#1f0c33aa``.
+    restarted, such as ``/keyboard_teleop#1f0c33aa``.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class Lease:
         self._known: OrderedDict[str, None] = OrderedDict()  # publishers of statuses
 
     def begin(self, holder_id: str) -> None:
-        """Start the lease of a holder; empty: control is free."""
+        """Start the lease of a holder; an empty id frees control."""
         self._holder, self._silent = holder_id, 0
 
     def knows(self, publisher_id: str) -> bool:
@@ -29,16 +29,16 @@ class Lease:
         return publisher_id in self._known
 
     def renew(self, publisher_id: str) -> None:
-        """Note a message from a publisher; if it is the holder, renew the lease."""
+        """Renew the lease if a message is from its holder."""
         if publisher_id == self._holder:
             self._silent = 0
 
     def note_status(self, publisher_id: str, *, ended: bool = False) -> str:
         """
-        Note a status of a publisher.
+        Register a status of a publisher.
 
-        :param ended: whether it is the last one.
-        :return: reason why the lease ends now; empty: it continues.
+        :param ended: whether it is the last status.
+        :return: reason why the lease ends now; empty if it continues.
         """
         self.renew(publisher_id)
         new = publisher_id not in self._known

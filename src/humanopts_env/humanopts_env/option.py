@@ -1,4 +1,4 @@
-"""What a world knows of options: how they are evaluated, and when their runs end."""
+"""The interface of options, and the end of their runs."""
 
 from typing import Protocol
 

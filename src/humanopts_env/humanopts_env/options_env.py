@@ -15,7 +15,7 @@ from humanopts_env.gym_env import DomainEnv
 from humanopts_env.option import Option, runs_end
 import numpy as np
 
-MAX_REFUSALS = 100  # in an episode
+MAX_REFUSALS = 100  # per episode
 REFUSED = 'refused'
 
 
@@ -24,10 +24,10 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     An environment in which an action runs an option to its end (a semi-Markov decision process).
 
     The reward of a run of k steps is its discounted return, the sum of gamma**i * r[i]. An option
-    that cannot start is refused and takes no step. An episode that is over or truncated ends the
-    run. It is also truncated where no option can start, and after 100 refusals.
+    that cannot start is refused and takes no step. The end or truncation of the episode ends the
+    run. The episode is also truncated where no option can start, and after 100 refusals.
 
-    ``info`` has, besides that of the last step:
+    Besides the entries of the last step, ``info`` has:
 
     ==================  ======================================================================
     ``duration``        k, the number of primitive steps; 0: refused
@@ -38,10 +38,10 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     ``action_mask``     (O,) 1 for the options that can start, for ``action_space.sample(mask)``
     ==================  ======================================================================
 
-    After ``reset``, ``info`` has ``action_mask`` alone of these.
+    After ``reset``, ``info`` has only ``action_mask`` of these.
 
     :ivar gamma: discount per primitive step.
-    :ivar option_names: (O,) of the options, and of the primitive actions as ``action:NAME``.
+    :ivar option_names: (O,) names of the options, then of primitive actions as ``action:NAME``.
     """
 
     def __init__(
@@ -53,13 +53,13 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         features: str = '',
     ) -> None:
         """
-        Replace the actions by options.
+        Replace the actions with options.
 
         :param options: options of the domain of the environment, such as learned ones; action n
             runs the n-th.
-        :param primitives: whether the primitive actions follow the options as further actions.
+        :param primitives: whether to add the primitive actions after the options.
         :param gamma: discount per primitive step; None: that of the domain.
-        :param features: extractor, as the parameter of ``gymnasium:ID``; empty: the default.
+        :param features: extractor, as in the parameter of ``gymnasium:ID``; empty: the default.
         :raises DomainError: the primitive actions are not ``Discrete``, or there are no actions.
         """
         given = {'options': options, 'primitives': primitives, 'gamma': gamma}
@@ -78,15 +78,15 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.action_space = gymnasium.spaces.Discrete(len(self.option_names))
 
     def features(self) -> Floats:
-        """Return the current value of every feature, (F,): what the options depend on."""
+        """Return the current values of the features of the domain, (F,)."""
         return self._row.copy()
 
     def action_masks(self) -> Flags:
         """
         Return (O,): whether each option can start; all True if none can.
 
-        The name is that of sb3-contrib. Where no option can start the episode is over, and a mask
-        must leave a choice.
+        sb3-contrib uses this name. If no option can start, the episode is over, but a mask must
+        leave a choice.
         """
         return self._startable.copy() if self._startable.any() else ~self._startable
 

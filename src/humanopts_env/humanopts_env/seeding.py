@@ -11,7 +11,7 @@ def generator(seed: int, *purpose: str | int) -> np.random.Generator:
 
     :param seed: seed of the run, 0 or greater.
     :param purpose: key of the draws, such as ``'start_state', option, number``; equal seeds and
-        purposes give the same numbers in every process, on every machine.
+        purposes give the same numbers in every process and on every machine.
     :raises ValueError: seed is negative.
     """
     if seed < 0:

@@ -11,8 +11,8 @@ Use them in the tests of a package that adds a domain::
         def make(self) -> Domain:
             return MyDomain()
 
-A contract is a list of claims, functions that raise ``Breach`` with a description; each becomes a
-test. Claims about tables or a capability pass for domains without them.
+A contract is a list of claims: functions that raise an AssertionError if the claim does not hold.
+Each becomes a test. Claims about tables or a capability pass for domains without them.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -48,12 +48,12 @@ from numpy.typing import NDArray
 
 STEPS, SAMPLES = 300, 50  # steps of the random walk; additional sampled states
 MANY = 40  # games played in parallel
-ALIKE = 10  # equal states whose drawings must be equal
+ALIKE = 10  # states with equal features that must be drawn equally
 MAX_STATES = 400  # states of an enumerable domain compared one by one
 MAX_EFFECT, MAX_WORDS = 50, 90  # characters
 MAX_HELP_ROWS = 18  # rows that fit on a terminal
 COLOURS = {'', *(value for name, value in vars(colours).items() if name.isupper())}
-ALL, SAMPLE = 2000, 600  # options are evaluated in all states, or in a sample of a larger domain
+ALL, SAMPLE = 2000, 600  # maximum states to evaluate fully; sample size otherwise
 ONE_BY_ONE = 40  # states evaluated one by one, and runs played
 MAX_RUN = 1000  # steps of a run in a domain without a limit
 
@@ -122,7 +122,7 @@ def a_board_shows_the_chosen_features_and_nothing_else(seen: Evidence) -> None:
         alike: dict[tuple[float, ...], list[Any]] = {}
         for state, row in zip(states, rows):
             alike.setdefault(tuple(row[k] for k in columns), []).append(state)
-        drawn: dict[str, set[str]] = {}  # board -> what it should show, in words
+        drawn: dict[str, set[str]] = {}  # board -> values that it should show
         for values, group in alike.items():
             boards = {board_of(domain, state, shown) for state in group[:ALIKE]}
             if shown is not None:
@@ -194,7 +194,7 @@ def layouts_are_as_large_as_the_board_and_leave_out_its_blocks(seen: Evidence) -
 
 
 def many_games_are_single_games(seen: Evidence) -> None:
-    """With its own generator, each game draws the same as the rules; copies are independent."""
+    """With its own generator, each game is the same as a single one; copies are independent."""
     domain, rng = seen.domain, seen.rng('games')
     states = [state for state in seen.states if not domain.is_over(state)][:MANY]
     games, single = games_at(domain, states), StateGames(domain, list(states))
@@ -273,7 +273,7 @@ def an_effect_is_described_in_a_few_words(seen: Evidence) -> None:
 
 
 def texts_are_short_and_unique(seen: Evidence) -> None:
-    """Options to teach, feature groups, and the explanation of the game."""
+    """Check the options to teach, the feature groups, and the explanation of the game."""
     domain = seen.domain
     if isinstance(domain, HasTeachingDefaults):
         _assert_once(domain.teaching.options, 'options to teach')
@@ -387,7 +387,7 @@ def its_features_determine_where_each_starts_and_ends(seen: OptionEvidence) -> N
 
 
 def every_run_comes_to_its_end(seen: OptionEvidence) -> None:
-    """With the first and the last optimal action; no option can start once the task is over."""
+    """Take the first or the last optimal action; no option can start once the task is over."""
     for name, said in seen.judged.items():
         starts = np.flatnonzero(said.initiation)
         states = [seen.states[n] for n in starts[:: max(1, len(starts) // ONE_BY_ONE)]]
@@ -437,7 +437,7 @@ class DomainContract:
 
     def make(self) -> Domain:
         """Return a new instance of the domain to test."""
-        # not abstract: pytest would report that it cannot create the class, not what is missing
+        # not abstract: pytest would only report that it cannot create the class
         raise NotImplementedError('make() must return the domain to test')
 
 
@@ -454,7 +454,7 @@ class ReferenceContract:
         return reference_options(domain)
 
 
-@lru_cache(maxsize=1)  # one object per test; the tests of a class run in sequence
+@lru_cache(maxsize=1)  # one object per test class: its tests run in sequence
 def _evidence(suite: Callable[[], Any]) -> Any:
     made, domain = suite(), suite().make()
     if isinstance(made, ReferenceContract):

@@ -380,7 +380,7 @@ def test_an_episode_begins_where_the_robot_is(world: World) -> None:
     reply = world.game.reset('x 3', 0, Source.PERSON)
     assert (reply.status, reply.detail) == (
         ResetStatus.BAD_STATE,
-        'an episode of rover begins where it is: drive it to another start',
+        'rover can only begin where the robot is: drive it to another start',
     )
     assert world.game.under_way is not None
     assert world.game.reset('', 0, Source.MACHINE).status is ResetStatus.HELD_BY_PERSON

@@ -85,7 +85,7 @@ def test_a_domain_of_another_package_is_made_by_its_name() -> None:
         ('leaving', 'leaving cannot be made: SystemExit: 3'),
         ('wide', r'wide breaks the contract of domains: .* shape \(10,\), not \(9,\)'),
         ('rooms', "'rooms' is the name of several domains, cab_plugin:Cab, .*Rooms: rename one"),
-        ('bus', "no domain 'bus'; there is .*cab.*gymnasium:ENV_ID"),
+        ('bus', "unknown domain 'bus'; choose from .*cab.*gymnasium:ENV_ID"),
     ],
 )
 def test_what_cannot_be_played_is_refused_by_name(name: str, text: str) -> None:

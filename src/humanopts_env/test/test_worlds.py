@@ -480,6 +480,6 @@ def test_a_robot_is_opened_to_act_in_and_cannot_be_simulated(tmp_path: Path) -> 
     with pytest.raises(DomainError, match='takes no parameters: change its file'):
         open_domain(name, {'rows': 5})
     with pytest.raises(
-        NeedsRulesError, match=r'scout.yaml is a robot, which can only be acted in'
+        NeedsRulesError, match=r'scout.yaml is a robot; this operation needs'
     ):
         make_domain(name)

@@ -469,7 +469,7 @@ def _faults(demo: Demonstration, domain: ActableDomain) -> Iterator[str]:
         return
     for row, values in enumerate(feature_rows(domain, states).tolist()):
         if tuple(values) != demo.features[row]:
-            yield f'the features of state {row} are not those of its state'
+            yield f'the features of state {row} do not match that state'
     for t, action in enumerate(actions):
         if domain.is_over(states[t]):
             yield f'it continues after the task was over in state {t}'

@@ -92,7 +92,7 @@ def execution_named(name: str) -> Arbitration:
     try:
         return Arbitration(name or Arbitration.RUN_TO_END)
     except ValueError:
-        detail = f'no execution {name!r}; there is {", ".join(Arbitration)}'
+        detail = f'unknown execution {name!r}; choose from {", ".join(Arbitration)}'
         raise RefusedError(RunStatus.BAD_REQUEST, detail) from None
 
 

@@ -167,7 +167,7 @@ class OptionSummary:
             return f'not learned: {runs}'
         if not self.exam_passed:
             runs = f'{self.exam_runs} of {self.exam_needed} runs'
-            return f'not learned: the exam is missing ({runs})'
+            return f'not learned: the exam is incomplete ({runs})'
         if not self.exam_needed:
             return 'learned by its criteria, without an exam'
         least = f'{100 * self.exam.low:.0f} %'
@@ -179,7 +179,7 @@ class OptionSummary:
         if not self.settled:
             return 'Not all criteria are met.'
         if not self.criteria_met:
-            return 'Whether some of its ends are right is not known yet.'
+            return 'Some ends of the option have not been judged yet.'
         return f'{self.obstacles} The other criteria are met.' if self.obstacles else ALL_MET
 
     @property
@@ -202,7 +202,7 @@ class OptionSummary:
         if found.name == AGREEMENT:
             return f'It would repeat {of} demonstrations that it was not learned from.'
         other = round(((found.possible or 0.0) - found.value) * found.count)
-        also = f', and an end that you have not judged from {other}' if other > 0 else ''
+        also = f', and from {other} an end that you have not judged' if other > 0 else ''
         if self.evidence == EVERY_START:
             return f'Of all {found.count} starts, it reaches an end like yours from {count}{also}.'
         return f'It reaches an end like yours from {of} starts (drawn at random){also}.'

@@ -255,7 +255,7 @@ def test_a_plan_that_is_shorter_than_the_demonstrations_is_asked_about(person: A
     assert len(shorter) == 1  # all are longer by as much
     took, takes = len(shorter[0].compared) - 1, len(shorter[0].actions)
     assert took - takes == 4
-    words = f'You took {took} steps here, it takes {takes}. Is this what you meant?'
+    words = f'You took {took} steps here, it takes {takes}. Is the shorter way right?'
     assert shorter[0].text == words
     assert shorter[0].compared[0] == shorter[0].states[0]
     direct = by_goal(person().show_random(3))
@@ -273,7 +273,7 @@ def test_a_detour_is_asked_about_though_it_was_shown_often(person: Any) -> None:
         kinds[check.kind] = check
     option = learn_option(ann.shown, TAXI, 0)
     assert rollouts(option, TAXI, [at(0, 1, 0)]).steps.tolist() == [4]
-    assert 'Is the detour meant?' in kinds[CheckKind.DETOUR].text
+    assert 'Is the detour intended?' in kinds[CheckKind.DETOUR].text
 
 
 def test_questions_end_after_a_no_in_number_and_where_nothing_can_be_run(person: Any) -> None:

@@ -71,7 +71,7 @@ def test_verdicts_count_for_the_version_that_ran(
 
     none = summary(*first)
     assert (none.exam_runs, none.exam_needed, none.learned) == (0, 2, False)
-    assert none.status == 'not learned: the exam is missing (0 of 2 runs)'
+    assert none.status == 'not learned: the exam is incomplete (0 of 2 runs)'
     runs = judged(first, 1), judged(first, 2), judged(first, 3, exam=False)
     passed = summary(*first, *runs)
     assert (passed.exam_right, passed.exam_runs, passed.n_questions) == (2, 2, 1)

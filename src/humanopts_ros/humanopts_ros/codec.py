@@ -24,7 +24,7 @@ class Codec(Generic[V, M]):
 
     The enum member ``NAME`` in a field such as ``action_source`` maps to the message constant
     ``SOURCE_NAME``, where the prefix is the last word of the field name. Tuples map to sequences,
-    None in a numeric field maps to NaN, and the text of a UUID to its message.
+    None in a numeric field to NaN, and a UUID string to its message.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Codec(Generic[V, M]):
         """
         Encode a value as a message.
 
-        :param more: fields that only the message has; the rest keep their defaults.
+        :param more: fields that only the message has; others keep their defaults.
         """
         for name, convert in self._encode.items():
             field = getattr(value, name)
@@ -99,7 +99,7 @@ class Codec(Generic[V, M]):
         """
         Decode a message.
 
-        :param more: fields that only the dataclass has; the rest keep their defaults.
+        :param more: fields that only the dataclass has; others keep their defaults.
         :raises ValueError: a number is not an enum constant.
         """
         for name, convert in self._decode.items():
@@ -109,12 +109,12 @@ class Codec(Generic[V, M]):
 
 
 def uuid_to_message(text: str) -> UUID:
-    """Return the message of a UUID; zeros: the text is empty."""
+    """Convert a UUID string to a message; an empty string becomes all zeros."""
     return UUID(uuid=np.frombuffer((uuid.UUID(text) if text else _NONE).bytes, np.uint8))
 
 
 def uuid_from_message(message: Any) -> str:
-    """Return the text of a UUID, from rclpy or a bag reader; empty: it is zeros."""
+    """Convert a UUID message, from rclpy or a bag reader, to a string; empty for all zeros."""
     found = uuid.UUID(bytes=bytes(message.uuid))
     return '' if found == _NONE else str(found)
 

@@ -1,7 +1,7 @@
 """
-The environment variables of the ROS that this Python environment contains.
+Environment variables of the ROS wheels in this Python environment.
 
-ROS wheels install into the environment of Python, and nothing has to be sourced. Where another ROS
+ROS wheels are installed into the Python environment, so nothing has to be sourced. If another ROS
 is sourced, its libraries and packages would be loaded instead.
 """
 
@@ -12,16 +12,16 @@ import sys
 
 from humanopts_ros.middleware import RANGE
 
-DISTRIBUTION = 'jazzy'  # of the wheels that humanopts-interfaces requires
+DISTRIBUTION = 'jazzy'  # ROS distribution of the required wheels
 PREFIXES = 'AMENT_PREFIX_PATH'
-_INDEX = 'share/ament_index'  # folder of a prefix that ROS packages are installed into
+_INDEX = 'share/ament_index'  # folder in each prefix with ROS packages
 
 
 def use_own_ros() -> None:
     """
-    Set the variables that name the ROS wheels in this Python environment, if there are any.
+    Set the variables for the ROS wheels in this Python environment, if any.
 
-    If another ROS is sourced, this process starts again without its variables.
+    If another ROS is sourced, restart this process without its variables.
     """
     if not Path(sys.prefix, _INDEX).is_dir():
         return  # ROS from apt, or none

@@ -32,18 +32,18 @@ class Guard:
         Start with zero counts.
 
         :param monotonic: clock for limiting the log rate, s.
-        :param changed: callback invoked when ``remark`` has changed.
+        :param changed: callback for changes of ``remark``.
         :param ends: exception types that must end the node; they are re-raised.
         """
         self._logger, self._monotonic, self._changed = logger, monotonic, changed
         self._ends = ends
-        self._next_line: dict[str, float] = {}  # s, earliest time by topic or callback
+        self._next_line: dict[str, float] = {}  # s, earliest next log time by topic or callback
         self._last_refusal = self._last_failure = ''
         self.refused = self.failed = 0
 
     @property
     def remark(self) -> str:
-        """A summary of refusals and errors; empty: none."""
+        """A summary of refusals and errors; empty if there are none."""
         return '; '.join(
             f'{count} {what}{"s" if count > 1 else ""}{last}'
             for count, what, last in (
@@ -57,7 +57,7 @@ class Guard:
         """
         Count and log that a message was dropped.
 
-        :param sender: publisher_id of the message; empty: none.
+        :param sender: publisher_id of the message; empty if it has none.
         """
         self.refused += 1
         by = f' from {shown(sender, 80)}' if sender else ''
@@ -90,7 +90,7 @@ class Guard:
 
         :param callback: function or coroutine function; its result is passed through.
         :param failed: function that returns the result after an error, given the error message and
-            the arguments; None: the result is None.
+            the arguments; if None, the result is None.
         """
         where = getattr(callback, '__name__', None) or repr(callback)
 

@@ -1,4 +1,4 @@
-"""A node with guarded callbacks and checked parameters, and the start of ROS."""
+"""A node with guarded callbacks and checked parameters; startup of ROS."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -32,7 +32,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 SEEDS = (0, 2**62)
-PATIENCE = (0.1, 3600.0)  # s, range of deadlines
+PATIENCE = (0.1, 3600.0)  # s, allowed range of deadlines
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 T = TypeVar('T')
@@ -68,7 +68,7 @@ def start_ros(
 
     :param args: command-line arguments.
     :param context: rclpy context; None: the default context.
-    :param signals: signals that shut ROS down; by default, the caller handles all.
+    :param signals: signals that shut ROS down; by default none, so the caller handles them.
     :raises MiddlewareError: ROS cannot start.
     """
     prepare_discovery()
@@ -129,7 +129,7 @@ class GuardedNode(Node):
         """
         Create a subscription with a guarded callback.
 
-        If ``senders`` allows only one publisher, messages from other nodes are refused.
+        If ``senders`` allows only one publisher on the topic, refuse messages from other nodes.
         """
         sender = sender_of(self.resolve_topic_name(topic), self.get_namespace())
 
@@ -146,7 +146,7 @@ class GuardedNode(Node):
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
     ) -> Service:
-        """Create a service with a guarded callback, or coroutine, that always responds."""
+        """Create a service that always responds, with a guarded callback or coroutine."""
 
         def failed(text: str, request: Any, response: Any) -> Any:
             return failed_response(srv_type.Response(), text)
@@ -188,7 +188,7 @@ class GuardedNode(Node):
         return self.create_subscription(kind, topic, on_message, qos)
 
     def accepted(self, topic: str, read: Callable[[T], V | None], message: T) -> V | None:
-        """Return the value of a message; None: the message is refused or ignored."""
+        """Return the value of a message, or None if it is refused or ignored."""
         try:
             return read(message)
         except ValueError as error:
@@ -211,7 +211,7 @@ class GuardedNode(Node):
         """
         Declare a parameter and return its value.
 
-        :param between: range of a number; None: any.
+        :param between: allowed range of a number; None: any.
         :param among: allowed texts; empty: any.
         :param on_change: callback for each valid value set at runtime; None: the parameter is
             read-only.
@@ -244,7 +244,7 @@ class GuardedNode(Node):
 
         :param defaults: dataclass instance with the default values.
         :param descriptions: parameter descriptions by field.
-        :param between: ranges of some fields; other fields accept any value.
+        :param between: allowed ranges by field; other fields accept any value.
         :raises StartError: as in ``setting``.
         """
         values = {
@@ -271,5 +271,5 @@ def failed_response(answer: Any, text: str) -> Any:
     result = getattr(answer, 'result', answer)
     if hasattr(result, 'status') and hasattr(result, 'detail'):
         result.status = getattr(result, 'STATUS_FAILED', 0)
-        result.detail = f'an error that was not foreseen, see the log of the node: {text}'
+        result.detail = f'unexpected error; see the log of the node: {text}'
     return answer

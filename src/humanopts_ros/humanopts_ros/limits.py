@@ -1,8 +1,8 @@
 """
 Limits for external input: messages, files and settings.
 
-Code that reads external input uses these functions, so that deeply nested, oversized or non-finite
-values are rejected, and raw text never reaches a log or terminal.
+These functions reject deeply nested, oversized and non-finite values, and keep raw text out of
+logs and terminals.
 """
 
 from io import TextIOWrapper
@@ -12,11 +12,11 @@ import sys
 from typing import Any
 from unicodedata import normalize
 
-MAX_JSON = 64 * 2**20  # characters of a JSON text, such as an option with its demonstrations
-MAX_DEPTH = 40  # nesting levels of lists and objects in a JSON text
+MAX_JSON = 64 * 2**20  # characters of a JSON text
+MAX_DEPTH = 40  # nesting levels of a JSON text
 MAX_INTEGER = 2**64  # exclusive bound on the magnitude of integers in a JSON text
 MAX_WHOLE = 2**31 - 1  # maximum integer in demonstrations and options; fits int32 arrays
-MAX_STATE = 20_000  # characters of a game state, in its domain's notation
+MAX_STATE = 20_000  # characters of a game state as text
 MAX_SHOWN = 400  # characters of an external text in a log, status or response
 
 

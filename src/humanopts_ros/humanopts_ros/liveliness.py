@@ -1,4 +1,4 @@
-"""Whether processes that drive a robot are alive: killed, stopped and cut off ones are noticed."""
+"""Detection of processes that drive a robot and are killed, stopped or disconnected."""
 
 from collections.abc import Callable
 from functools import partial
@@ -14,34 +14,34 @@ from std_msgs.msg import Empty
 
 class Liveliness:
     """
-    Watches the announcements of nodes that drive, which have the QoS ``LIVELY``.
+    Watches nodes that drive a robot, through their ``LIVELY`` announcements.
 
-    Other nodes cannot be watched: nothing is known of them.
+    Other nodes cannot be watched.
 
-    The totals of the middleware do not tell who is alive, only their changes do: it misses that a
-    node is alive if it hears of it while it creates the subscription, or knows it already from
-    another one (``LivelinessManager`` of Fast DDS 2.14), and counts below 0 from then on.
+    The middleware's count of live nodes is unreliable; only its changes are used. The middleware
+    does not count a node that it discovers while creating the subscription, or already knows from
+    another one. Its count later becomes negative (``LivelinessManager`` of Fast DDS 2.14).
 
-    :ivar lost: publisher ids of the watched nodes that were lost, and did not come back.
+    :ivar lost: publisher ids of the watched nodes that are lost and have not come back.
     """
 
     def __init__(
         self, node: NodeBase, role: Role, on_lost: Callable[[str], object] = lambda _: None
     ) -> None:
         """
-        Watch no one yet.
+        Start without watched nodes.
 
-        :param role: of the nodes to watch.
-        :param on_lost: called with the publisher id of a node that is not alive any more.
+        :param role: role of the nodes to watch.
+        :param on_lost: callback invoked with the publisher id of a node that is no longer alive.
         """
         self._node, self._role, self._on_lost = node, role, node.guard.guarded(on_lost)
         self.lost: set[str] = set()
         self._watched: dict[str, Subscription] = {}  # by publisher id
 
     def watch(self, *publisher_ids: str) -> None:
-        """Watch these nodes, beside those watched before; empty ids are ignored."""
+        """Also watch these nodes; ignore empty ids, and drop nodes that have left the graph."""
         for gone in self._watched.keys() - {*publisher_ids}:
-            if not self._node.count_publishers(id_topic(gone, self._role)):  # it left the graph
+            if not self._node.count_publishers(id_topic(gone, self._role)):
                 self._node.destroy_subscription(self._watched.pop(gone))
                 self.lost.discard(gone)
         for publisher_id in publisher_ids:

@@ -1,5 +1,5 @@
 """
-Checks of the ROS settings in the environment; works without ROS.
+Checks of the ROS settings in the environment; usable without ROS.
 
 Invalid settings are reported in one line before anything is started. Otherwise the middleware
 would abort the process, ignore the setting, or silently find no other node.
@@ -22,7 +22,7 @@ RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 LAST_DOMAIN_ID = 232
 LOOPBACK = '127.0.0.1'
-_RANGES = 'LOCALHOST', 'SUBNET', 'SYSTEM_DEFAULT'  # ranges in which nodes find each other
+_RANGES = 'LOCALHOST', 'SUBNET', 'SYSTEM_DEFAULT'
 _RMW, _LOCALHOST_ONLY, _DOMAIN_ID = 'RMW_IMPLEMENTATION', 'ROS_LOCALHOST_ONLY', 'ROS_DOMAIN_ID'
 _INSTALLED = 'share/ament_index/resource_index/rmw_typesupport'
 _ANY_PORT = 7400  # no data is sent
@@ -33,16 +33,16 @@ rclpy.create_node('reads_profiles')
 """
 _FAULT = re.compile(r'XMLPARSER.* Error\S* (.+?) -> Function')
 _COLOUR = re.compile(r'\x1b\[[\d;]*m')
-_absent = ''  # value of RMW_IMPLEMENTATION, if not installed
+_absent = ''  # value of RMW_IMPLEMENTATION that is not installed
 
 
 class MiddlewareError(RuntimeError):
-    """ROS cannot start with the environment's settings; the message names setting and fix."""
+    """ROS cannot start with the environment's settings; the message names the setting and fix."""
 
 
 def set_aside_absent() -> None:
     """
-    Remove a middleware that is not installed from the environment; ``check_settings`` reports it.
+    Unset a configured middleware that is not installed; ``check_settings`` reports it.
 
     Otherwise, importing rclpy would end the process.
     """
@@ -53,7 +53,7 @@ def set_aside_absent() -> None:
 
 
 def _installed() -> list[str]:
-    """Return the installed middlewares; empty: unknown."""
+    """Return the installed middlewares; empty if unknown."""
     # ROS wheels live in the Python environment and load only their own middlewares.
     for prefix in (sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)):
         found = Path(prefix, _INSTALLED)
@@ -85,8 +85,8 @@ def check_settings(*, thorough: bool = False) -> None:
     chosen = os.environ.get(RANGE)
     if chosen == 'OFF':
         raise MiddlewareError(
-            f'{RANGE} is OFF, and no node finds another; unset it, or choose LOCALHOST for this '
-            'machine or SUBNET for the network'
+            f'{RANGE} is OFF, so nodes cannot find each other; unset it, or choose LOCALHOST for '
+            'this machine or SUBNET for the network'
         )
     if chosen and chosen not in _RANGES:
         raise MiddlewareError(f'{RANGE} is {chosen!r}; choose from {", ".join(_RANGES)}')
@@ -96,7 +96,8 @@ def check_settings(*, thorough: bool = False) -> None:
     for peer in static_peers():
         if fault := _fault_of_address(peer):
             raise MiddlewareError(
-                f'{PEERS} names {peer!r}, {fault}; give addresses as 192.168.1.20, separated by ;'
+                f'{PEERS} names {peer!r}, {fault}; give addresses like 192.168.1.20, separated by '
+                ';'
             )
     for name in PROFILES:
         if not os.environ.get(name):
@@ -127,7 +128,7 @@ def is_local() -> bool:
 
 
 def address_towards(peer: str) -> str:
-    """Return this machine's address on the route to a peer; empty: no route."""
+    """Return this machine's address on the route to a peer; empty if there is no route."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect((peer, _ANY_PORT))
@@ -137,7 +138,7 @@ def address_towards(peer: str) -> str:
 
 
 def _fault_of_address(peer: str) -> str:
-    """Return what is wrong with a machine's address or name; empty: nothing permanent."""
+    """Return the error in a machine's address or name; empty if none, or only temporary."""
     try:
         if ipaddress.ip_address(peer).version != 4:
             return 'which is not an IPv4 address'
@@ -152,7 +153,7 @@ def _fault_of_address(peer: str) -> str:
 
 
 def _fault_of_profile(path: Path) -> str:
-    """Return why Fast DDS would ignore a profile file; empty: it would not."""
+    """Return the reason why Fast DDS would ignore a profile file; empty if none."""
     if not path.is_file():
         return 'which is not a file'
     try:
@@ -162,11 +163,11 @@ def _fault_of_profile(path: Path) -> str:
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         return f'which is not XML ({error})'
     tag = root.tag.rpartition('}')[2]
-    return '' if tag in ('dds', 'profiles') else f'which holds <{tag}> where <profiles> is due'
+    return '' if tag in ('dds', 'profiles') else f'which holds <{tag}> instead of <profiles>'
 
 
 def _fault_that_fast_dds_finds() -> str:
-    """Return the first error that Fast DDS reports for its profile file; empty: none."""
+    """Return the first error that Fast DDS reports for its profile file; empty if none."""
     output = subprocess.run(
         [sys.executable, '-c', _LOADS_PROFILES],
         env={**os.environ, RANGE: 'OFF'},

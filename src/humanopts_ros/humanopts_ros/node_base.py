@@ -36,25 +36,25 @@ from rclpy.service_introspection import ServiceIntrospectionState
 from std_msgs.msg import Empty
 
 RECORDER = 'recorder'
-RESULT_TIMEOUT = 10  # s to keep the result of a finished goal; kept goals slow down each status
+RESULT_TIMEOUT = 10  # s to keep results of finished goals; kept goals slow down action statuses
 _LAST_ROUNDS = 10  # number of callbacks run to send the last responses
-_SHORT = 0.001  # s to wait for each of them; the ``EventsExecutor`` runs nothing in no time
-_DRAIN = 0.3  # s, time for readers to receive pending messages before a node ends
+_SHORT = 0.001  # s to wait for each callback; with 0, the ``EventsExecutor`` runs none
+_DRAIN = 0.3  # s for readers to receive pending messages before a node ends
 _REMARK_PERIOD = 1.0  # s between statuses that differ only in refusals or errors
-_REPEAT_PERIOD = 1.0  # s between checks for competing publishers of a node's current values
+_REPEAT_PERIOD = 1.0  # s between checks for competing publishers
 _PROVISION = 5.0  # s, maximum time a request waits until the node is ready
 _LATE = 5.0  # s after which a starting node reports what it is waiting for
 _CHECK_PERIOD = 0.02  # s between checks during startup and shutdown
-_SERVE_PERIOD = 1.0  # s, longest wait of a node that has nothing to do
+_SERVE_PERIOD = 1.0  # s, maximum wait of an idle node
 
 E = TypeVar('E', Service, Client)
 
 
 class _ActionServer(ActionServer):
     """
-    Runs the coroutines of its goals with ``drive``, and answers when they are done.
+    Runs the coroutines of its goals with ``drive``, and sends the results when they are done.
 
-    Executors would handle the future of every result that is kept, in each event of the action.
+    Otherwise, executors would check the future of every kept result at each event of the action.
     """
 
     def add_future(self, future: Any) -> None:
@@ -79,7 +79,7 @@ class NodeBase(GuardedNode):
     """
 
     role: ClassVar[Role] = 'node'
-    drives: ClassVar[bool] = False  # whether it can drive a robot: its liveliness is announced
+    drives: ClassVar[bool] = False  # whether it can drive a robot and announces its liveliness
 
     def __init__(
         self, name: str, *, monotonic: Callable[[], float] = time.monotonic, **options: Any
@@ -120,7 +120,7 @@ class NodeBase(GuardedNode):
         )
         self._remark_sent = ''  # last published summary of refusals and errors
         self.set_status(NodeStatus.STATE_STARTING)
-        self.waiting = Waiting(self, monotonic)  # for this node's coroutines
+        self.waiting = Waiting(self, monotonic)
         # Not guarded: an error during startup ends the node.
         self._start_timer = Node.create_timer(self, _CHECK_PERIOD, self._try_start, clock=STEADY)
         self._begun = monotonic()
@@ -133,7 +133,7 @@ class NodeBase(GuardedNode):
         return Peers(self)
 
     def full_name(self, name: str) -> str:
-        """Return the full name of a node of this namespace."""
+        """Return the full name of a node in this namespace."""
         return f'{self.get_namespace().rstrip("/")}/{name}'
 
     def stamped_publisher(
@@ -148,8 +148,8 @@ class NodeBase(GuardedNode):
         """
         Create a publisher for messages with header, publisher_id and sequence.
 
-        :param on_matched: callback invoked when a subscription is matched or unmatched.
-        :param repeated: whether to republish the newest message while other publishers compete.
+        :param on_matched: callback for matched and unmatched subscriptions.
+        :param repeated: whether to republish the newest message while there are other publishers.
         """
         event = on_matched and self.guard.guarded(on_matched)
         publisher = StampedPublisher(self, self.publisher_id, kind, topic, qos, event)
@@ -185,9 +185,9 @@ class NodeBase(GuardedNode):
         """
         Create an action server that accepts every cancel request.
 
-        :param execute: coroutine that waits only by ``waiting``.
+        :param execute: coroutine function that waits only through ``waiting``.
         :param on_cancel: callback invoked with the goal handle just before the goal is canceled.
-        :param accepts: returns whether to accept a goal.
+        :param accepts: function that returns whether to accept a goal.
         """
         self._hidden += [f'{name}/_action/feedback', f'{name}/_action/status']
 
@@ -216,18 +216,18 @@ class NodeBase(GuardedNode):
         )
 
     def is_recorded(self, topic: str, recorders: int = 1) -> bool:
-        """Return whether this many recorders subscribe to a topic, or it is not recorded."""
+        """Return whether enough recorders subscribe to a topic, or it is not to be recorded."""
         if not self.selection.wants_own(self.resolve_topic_name(topic)):
             return True
         readers = self.get_subscriptions_info_by_topic(topic)
         return len([1 for reader in readers if reader.node_name == RECORDER]) >= recorders
 
     def records(self, publisher: StampedPublisher[Any], recorders: int = 1) -> bool:
-        """Return whether this many recorders have matched subscriptions."""
+        """Return whether all subscriptions are matched and the topic is recorded."""
         return publisher.is_matched() and self.is_recorded(publisher.topic, recorders)
 
     def is_fully_recorded(self) -> bool:
-        """Return whether the recorder, if any, receives all of this node's messages."""
+        """Return whether the recorder, if expected, receives all of this node's messages."""
         return self._lacks_recorder() is None
 
     async def provided(self) -> bool:
@@ -240,7 +240,7 @@ class NodeBase(GuardedNode):
 
         A failure to publish is only logged.
 
-        :param text: reason for the state; empty: none.
+        :param text: reason for the state; empty if none.
         """
         self._own_state, self._own_text, self._remark_sent = state, text, self.guard.remark
         whole = '; '.join(filter(None, (text, self._remark_sent)))
@@ -256,7 +256,7 @@ class NodeBase(GuardedNode):
         self.set_status(self._own_state, self._own_text)
 
     def waits_for(self) -> str | None:
-        """Describe what the node is waiting for; None: nothing. To be overridden."""
+        """Describe what the node is waiting for; None if nothing. To be overridden."""
         return None
 
     def on_ready(self) -> None:
@@ -271,8 +271,7 @@ class NodeBase(GuardedNode):
         """
         Wait for one callback and run it.
 
-        Errors outside the guarded callbacks come from callbacks of futures and from messages that
-        cannot be deserialised.
+        Errors also come from callbacks of futures and from messages that cannot be deserialised.
         """
         try:
             executor.spin_once(seconds)
@@ -285,7 +284,7 @@ class NodeBase(GuardedNode):
         """Finish pending work before the node ends. To be overridden."""
 
     def finish(self, busy: Callable[[], bool], seconds: float) -> None:
-        """Run callbacks until ``busy`` returns False and the responses are sent."""
+        """Run callbacks until ``busy`` returns False or time is up, then send the responses."""
         deadline, executor = time.monotonic() + seconds, self.executor
         assert executor is not None, 'the node serves, or did'
         while busy() and time.monotonic() < deadline:
@@ -350,14 +349,14 @@ class NodeBase(GuardedNode):
             return
         self._start_timer.cancel()
         if self._expect_recorder:
-            self.drain()  # the next status replaces the first one
+            self.drain()  # before the next status replaces the first one
         self.ready = True
         self.on_ready()
         self.set_status(NodeStatus.STATE_READY)
         self.get_logger().info('ready')
 
     def _lacks_recorder(self) -> str | None:
-        """Describe a topic that the recorder lacks; None: no topic, or no recorder is expected."""
+        """Describe a topic that the recorder lacks; None if none, or no recorder is expected."""
         if not self._expect_recorder:
             return None
         missing = chain(

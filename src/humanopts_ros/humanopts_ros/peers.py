@@ -8,7 +8,7 @@ from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import announced_id, Role, signer
 from rclpy.node import Node
 
-_UNKNOWN = '_UNKNOWN_'  # in the name of a node of which only endpoints have been discovered
+_UNKNOWN = '_UNKNOWN_'  # part of the name of a node known only by its endpoints
 
 
 def node_names(node: Node) -> list[str]:
@@ -26,9 +26,9 @@ def publishers_of(node: Node, topic: str) -> list[str]:
 
 def announced_ids(node: Node, *roles: Role) -> list[str]:
     """
-    Return the publisher ids announced in the graph by nodes in a node's namespace.
+    Return the publisher ids announced in the graph by the nodes in a node's namespace.
 
-    :param roles: roles of those nodes; empty: any.
+    :param roles: roles of these nodes; empty: any.
     """
     namespace = node.get_namespace()
     return sorted(
@@ -42,12 +42,12 @@ def announced_ids(node: Node, *roles: Role) -> list[str]:
 
 class GameIdentity:
     """
-    The publisher id of the game in a node's namespace, whatever its node name.
+    The publisher id of the game in a node's namespace; the game may have any node name.
 
-    A restarted game replaces the current one immediately; another node only after the current game
-    is gone from the graph. The announced ids decide, as in ``Peers``.
+    A restarted game replaces the current one immediately; a game with another name does so only
+    after the current one has left the graph. Only announced ids are accepted, as in ``Peers``.
 
-    :ivar publisher_id: id of the current game; empty: not found yet.
+    :ivar publisher_id: id of the current game; empty if not found yet.
     """
 
     def __init__(self, node: Node) -> None:
@@ -55,7 +55,7 @@ class GameIdentity:
         self._node = node
 
     def accepts(self, publisher_id: str) -> bool:
-        """Return whether a message comes from the game, which may be a new one."""
+        """Return whether a message comes from the current game or its replacement."""
         if publisher_id and publisher_id == self.publisher_id:
             return True
         games = announced_ids(self._node, 'game')
@@ -71,14 +71,13 @@ class Peers:
     The latest status and the restart count of each node in a namespace.
 
     A status is accepted if its publisher_id is announced in the graph. A process announces its
-    endpoints in order of creation, so a genuine id is announced before its first status arrives. A
-    process that was replaced by another one with the same name is ignored.
+    endpoints in order of creation, so its id is announced before its first status arrives. A
+    process that was replaced by another one is ignored.
 
     :ivar statuses: latest status by node name, without the namespace.
-    :ivar restarts: restart count by node name; incremented when the node starts and again when it
-        is ready.
-    :ivar on_restart: callbacks invoked with the node name at each increment; the second one
-        because requests sent before the node was ready may be lost.
+    :ivar restarts: restart count by node name; incremented when the node restarts and again when
+        it is ready, since requests sent in between may be lost.
+    :ivar on_restart: callbacks invoked with the node name at each increment.
     :ivar starting: names of restarted nodes that are not ready yet.
     """
 
@@ -94,18 +93,18 @@ class Peers:
         node.create_subscription(NodeStatus, 'node_status', self._on_status, CURRENT)
 
     def state(self, name: str) -> int:
-        """Return the state of a node; 0: no status has been published."""
+        """Return the state of a node; 0 if it has not published a status."""
         return int(self.statuses[name].state) if name in self.statuses else 0
 
     def expect(self, publisher_id: str) -> None:
-        """Accept only this process, which is about to start, under its name."""
+        """Accept only this process under its node name; call this before it starts."""
         name = signer(publisher_id).rpartition('/')[2]
         if name in self._expected:
             self.forget(self._expected[name])
         self._expected[name] = publisher_id
 
     def forget(self, publisher_id: str) -> None:
-        """Ignore a process from now on, because it has ended; this counts as a restart."""
+        """Ignore a process that has ended; this counts as a restart."""
         if publisher_id in self._replaced:
             return
         name = signer(publisher_id).rpartition('/')[2]

@@ -43,7 +43,7 @@ class PolledValue(Generic[T, V]):
         )
 
     def take(self) -> V | None:
-        """Return the newest value since the last call; None: no new value."""
+        """Return the newest value since the last call; None if there is no new value."""
         handle = self._subscription.handle
         with handle:
             taken = handle.take_message(self._kind, False)

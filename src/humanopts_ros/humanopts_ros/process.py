@@ -24,17 +24,17 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.utilities import try_shutdown
 
 _PAUSED = (
-    'the process was stopped for {:.0f} s; other nodes may not hear it any more, so it ends: '
+    'the process was stopped for {:.0f} s; other nodes may have lost it, so it exits: '
     'start it again'
 )
 
 
 class _Stop:
     """
-    A stop condition, set by SIGINT, SIGTERM or SIGHUP, by the exit of the launcher, or if the
-    process was suspended by SIGSTOP or SIGTSTP for too long.
+    A stop condition: true after SIGINT, SIGTERM or SIGHUP, after the launcher has exited, or after
+    the process was suspended by SIGSTOP or SIGTSTP for too long.
 
-    :ivar paused: duration of the suspension, s; 0: none.
+    :ivar paused: duration of a too long suspension, s; 0 if none.
     """
 
     def __init__(self) -> None:
@@ -64,8 +64,8 @@ def woken_by_signals(wake: Callable[[], object]) -> Iterator[None]:
     """
     Call ``wake`` from another thread at each signal.
 
-    Python runs the handler of a signal only when the main thread is not in the middleware, so an
-    executor that waits for long has to be woken.
+    Python runs signal handlers only while the main thread is outside the middleware, so a waiting
+    executor has to be woken.
     """
     reader, writer = socket.socketpair()
     writer.setblocking(False)
@@ -96,8 +96,8 @@ def run_node(
     """
     Run a node until SIGINT, SIGTERM or SIGHUP, or until it was suspended for too long.
 
-    The node is always closed. An unexpected error propagates to the caller, so that the traceback
-    is shown and the exit status is 1.
+    The node is always closed. An unexpected error propagates, so that the traceback is shown and
+    the exit status is 1.
 
     :param by_events: whether to use the ``EventsExecutor``, which responds about three times as
         fast; it is experimental.
@@ -127,7 +127,7 @@ def run_node(
         try:
             with woken_by_signals(partial(executor.create_task, lambda: None)):
                 node.serve(executor, ended)
-        finally:  # also after an error, so that its files are complete
+        finally:  # also after an error, so that the node completes its files
             served.set()
             node.close()
         node.set_status(NodeStatus.STATE_STOPPING)

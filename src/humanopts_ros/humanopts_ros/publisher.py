@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-if TYPE_CHECKING:  # would import 30 modules for one type
+if TYPE_CHECKING:  # avoids importing 30 modules for one type
     from std_msgs.msg import Header
 
 
@@ -34,8 +34,8 @@ class StampedPublisher(Generic[M]):
     """
     Publishes on one topic, filling in header, publisher_id and sequence.
 
-    :ivar sequence: sequence number of the last message sent; 0: none.
-    :ivar newest: last message sent; None: none.
+    :ivar sequence: sequence number of the last message sent; 0 if none.
+    :ivar newest: last message sent; None if none.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class StampedPublisher(Generic[M]):
         except Exception as error:
             cause, names = without_source(error), ', '.join(sorted(set(self.readers()))) or 'none'
             raise PublishError(
-                f'cannot publish on {self.topic}: {cause}; has a reader stopped? They are: {names}'
+                f'cannot publish on {self.topic}: {cause}; has a reader stopped? Readers: {names}'
             ) from error
         self.sequence += 1
         self.newest = message
@@ -94,12 +94,12 @@ class StampedPublisher(Generic[M]):
         return self.is_matched() and node_name in self.readers()
 
     def drain(self, seconds: float) -> None:
-        """Wait until the readers have acknowledged all messages."""
+        """Wait until the readers have acknowledged all messages, or time is up."""
         end = time.monotonic() + seconds  # waits in the middleware depend on the system time
         while not self._publisher.wait_for_all_acked(Duration()) and time.monotonic() < end:
             time.sleep(_ACKNOWLEDGED_PERIOD)
 
 
 def without_source(error: Exception) -> str:
-    """Return an error message without source locations in rcl."""
+    """Return an error message without the source locations added by rcl."""
     return str(error).split(', at /')[0]

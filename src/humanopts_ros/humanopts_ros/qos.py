@@ -11,7 +11,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-LEASE = 0.25  # s after which a process that drives a robot counts as gone if it is not heard
+LEASE = 0.25  # s without contact after which a process that drives a robot counts as lost
 
 
 def _profile(
@@ -45,11 +45,11 @@ def _lively(lease: float) -> QoSProfile:
     )
 
 
-# For announcing a node that drives a robot. The middleware repeats that it is alive after two
-# thirds of the lease, so several of these may be late on a busy machine before LEASE is over.
+# For announcing a node that drives a robot. The middleware asserts liveliness after two thirds of
+# this lease, so on a busy machine several assertions may be late before LEASE expires.
 LIVELY = _lively(LEASE / 3)
-# For watching such a node: the middleware notices within LEASE that its process was killed or
-# stopped, or that the network was cut.
+# For watching such a node: the middleware detects within LEASE that the process was killed or
+# stopped, or that the network connection was lost.
 WATCH = _lively(LEASE)
 # For reading current values: keeps the messages of all publishers, so that one publisher does not
 # displace another.
@@ -58,7 +58,7 @@ CURRENT = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
 # the writer, so displays use LATCHED topics or DISPLAY instead.
 STREAM = _profile(DurabilityPolicy.VOLATILE, 0)
 DISPLAY = _profile(DurabilityPolicy.VOLATILE, 1)
-# For reading what devices publish, whether reliable or not.
+# For reading from devices with reliable or best-effort publishers.
 SENSOR = _profile(DurabilityPolicy.VOLATILE, 10, ReliabilityPolicy.BEST_EFFORT)
 # For requests and responses. Each client also receives responses to other clients; the depth
 # absorbs bursts. A stalled client does not block the server.

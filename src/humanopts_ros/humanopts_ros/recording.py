@@ -1,8 +1,8 @@
 """
 The selection of recorded topics, for the recorder and for the nodes that wait for it.
 
-A bag contains its own graph: the topics, service events and action messages of its nodes, directly
-in its namespace. Patterns add or exclude topics.
+A bag contains one graph: the topics, service events and action messages of its nodes, directly in
+its namespace. Patterns add or exclude topics.
 """
 
 from collections.abc import Callable, Collection, Sequence, Set
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 INTERFACES = 'humanopts_interfaces/'  # package of the graph's message types
-SHARED = ('/rosout', '/parameter_events')  # shared by all nodes; only own messages are recorded
-MAX_BYTES = 2**62  # maximum size of a file
+SHARED = ('/rosout', '/parameter_events')  # shared; only this graph's messages are recorded
+MAX_BYTES = 2**62  # bytes of a file
 NEEDED = ('demonstrations', 'domain_info')  # topics required for offline evaluation
 _ACTION_STATUS = '/_action/status'
 _HIDDEN = ('/_service_event', '/_action/feedback', _ACTION_STATUS)
@@ -26,9 +26,9 @@ def own_name(topic: str, namespace: str) -> str:
     """
     Return the name of a topic, service or action directly in a namespace.
 
-    :param topic: full name of the topic; service events and action messages count as the service
-        or action.
-    :return: name in the namespace; empty: the topic is elsewhere or nested deeper.
+    :param topic: full name of the topic; service events and action messages are mapped to their
+        service or action.
+    :return: name in the namespace; empty if the topic is elsewhere or nested deeper.
     """
     prefix = prefix_of(namespace)
     if not topic.startswith(prefix):
@@ -49,9 +49,9 @@ def is_own(
     """
     Return whether a topic belongs to the graph of a namespace.
 
-    It does if it is directly in the namespace and has a humanopts type, or if a node of the graph
-    publishes it in the namespace: with a humanopts type, as an action status, or below its own
-    name.
+    A topic with a humanopts type directly in the namespace belongs to it. Any other topic in the
+    namespace must be published by a node of the graph, and have a humanopts type, be an action
+    status, or be below the node's name.
 
     :param kind: type of the topic.
     :param own_nodes: full names of the nodes that publish their status in the namespace.
@@ -72,10 +72,10 @@ def is_own(
 @dataclass(frozen=True)
 class Selection:
     """
-    The topics of a bag: those of the graph of a namespace, and those added by patterns.
+    The topics of a bag: the topics of a namespace's graph, modified by patterns.
 
     A pattern is a shell glob (``*``, ``?``, ``[...]``; ``*`` also matches ``/``) for the full name
-    of a topic or for its name in the namespace: ``lesson/*``.
+    of a topic or for its name in the namespace, such as ``lesson/*``.
     """
 
     namespace: str = '/'
@@ -100,7 +100,7 @@ class Selection:
 
     @property
     def missing_for_evaluation(self) -> str:
-        """The reason why a bag cannot be evaluated; empty: it can."""
+        """The reason why a bag cannot be evaluated; empty if it can."""
         missing = [n for n in NEEDED if not self.wants_own(prefix_of(self.namespace) + n)]
         if not missing:
             return ''

@@ -3,7 +3,7 @@ The permitted publisher of each topic, for the nodes of a graph and for the read
 
 A message identifies its publisher by an id such as ``/game#1a2b3c4d``: the full name of the node
 and a part that changes with each restart. Since any process could use any name, each node also
-announces its id in the graph, by a publisher on ``_node/NAME/_PART``: a hidden topic that never
+announces its id in the graph, with a publisher on ``_node/NAME/_PART``: a hidden topic that never
 carries a message. The game, which may have any name, uses ``_game/NAME/_PART``.
 """
 
@@ -31,7 +31,7 @@ SENDERS = {topic: node for node, topics in _TOPICS.items() for topic in topics}
 
 
 def signer(publisher_id: str) -> str:
-    """Return the full name of the node in a publisher id; empty: the id is invalid."""
+    """Return the full name of the node in a publisher id; empty if the id is invalid."""
     name, mark, _ = publisher_id.partition('#')
     return name if mark else ''
 
@@ -43,7 +43,7 @@ def id_topic(publisher_id: str, role: Role) -> str:
 
 
 def announced_id(topic: str, namespace: str, role: Role) -> str:
-    """Return the id announced by a topic, given by its full name; empty: none here."""
+    """Return the id announced by a topic, given by its full name; empty if none."""
     prefix = prefix_of(namespace)
     name, mark, part = topic.removeprefix(f'{prefix}_{role}/').partition('/_')
     return f'{prefix}{name}#{part}' if mark and topic.startswith(f'{prefix}_{role}/') else ''
@@ -54,7 +54,7 @@ def sender_of(topic: str, namespace: str) -> str:
     Return the full name of the node that may publish on a topic in a namespace.
 
     :param topic: full name of the topic.
-    :return: full node name; empty: any node may publish, or it is a topic of the game.
+    :return: full node name; empty if any node may publish, or for the topics of the game.
     """
     node = SENDERS.get(own_name(topic, namespace), '')
     return prefix_of(namespace) + node if node else ''

@@ -1,8 +1,8 @@
 """
 Reading of user-supplied files, and of YAML within limits.
 
-Code that reads a file named by a user, a plan or a bag uses these functions, so that devices,
-endless files and maliciously expanding texts cannot block or crash a command.
+These functions read files named by a user, a plan or a bag. Devices, endless files and malicious
+YAML aliases cannot block or crash them.
 """
 
 from collections.abc import Iterable, Iterator
@@ -204,10 +204,10 @@ def fault_in(error: 'ValidationError', known: Iterable[str] = ()) -> str:
 
 def model_of(kind: type[M], what: str, line: str) -> M:
     """
-    Parse the model in a line of JSON.
+    Parse a line of JSON as a model.
 
-    :param what: what a valid line is, with its article.
-    :raises ValueError: the line is something else; the message is a single line.
+    :param what: name of the model in the error message, with its article.
+    :raises ValueError: the line is invalid; the message is a single line.
     """
     from pydantic import ValidationError
 

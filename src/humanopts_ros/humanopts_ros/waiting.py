@@ -11,14 +11,14 @@ _DISCOVERY = 1.0  # s, maximum wait for the server of a request
 
 
 class _Wake:
-    """What a waiting coroutine yields; ``set`` resumes it."""
+    """The object that a waiting coroutine yields; ``set`` resumes it."""
 
     def __init__(self) -> None:
         self._set = False
         self.resume: Callable[[], object] = lambda: None
 
     def __await__(self) -> Generator['_Wake', None, None]:
-        while not self._set:  # a task of an executor is resumed all the time
+        while not self._set:  # executors may resume their tasks at any time
             yield self
 
     def set(self) -> None:
@@ -31,12 +31,12 @@ def drive(
     coroutine: Coroutine[Any, Any, Any], use: Callable[[Any], object] = lambda result: None
 ) -> None:
     """
-    Run a coroutine that waits only by ``Waiting``, which resumes it.
+    Run a coroutine that waits only through ``Waiting``, which resumes it.
 
-    The executors of rclpy resume a waiting coroutine again and again instead: the
-    ``EventsExecutor`` keeps a core busy with it, and does not accept one as a service.
+    The executors of rclpy would poll it instead. The ``EventsExecutor`` would keep a core busy,
+    and does not accept a coroutine as a service callback.
 
-    :param use: called with the result.
+    :param use: callback for the result.
     """
 
     def resume() -> None:
@@ -50,7 +50,7 @@ def drive(
 
 class Waiting:
     """
-    Lets a node's coroutines wait for conditions and for responses of services.
+    Lets a node's coroutines wait for conditions and for service responses.
 
     Pending conditions are checked periodically; ``check`` checks them immediately.
     """
@@ -87,7 +87,7 @@ class Waiting:
     async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Wait until a condition is true; return whether it became true in time."""
         deadline = self._monotonic() + seconds
-        while not condition():  # may be false again when the coroutine resumes
+        while not condition():  # it may be false again when the coroutine resumes
             if self._monotonic() > deadline:
                 return False
             wake = _Wake()
@@ -110,7 +110,7 @@ class Waiting:
         A request sent before the server is discovered is lost, so this waits for the server.
 
         :param lost: function that returns whether the server has restarted and lost the request.
-        :return: the response; None: there is none after ``seconds``, or the server is gone.
+        :return: the response; None if none after ``seconds``, or the server is gone.
         """
         ready = client.service_is_ready
         if not await self.until(ready, min(seconds, _DISCOVERY)):

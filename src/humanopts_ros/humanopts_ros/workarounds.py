@@ -32,8 +32,8 @@ import psutil
 # Interfaces are enumerated only at startup: https://github.com/eProsima/Fast-DDS/issues/1880
 
 READ_PROFILES = 'RMW_FASTRTPS_USE_QOS_FROM_XML'  # '1': also apply memory policies of profiles
-_READERS = 'jazzy', 'rmw_fastrtps_cpp'  # distribution and middleware that read both profiles
-_USUAL_PROFILES = Path('DEFAULT_FASTRTPS_PROFILES.xml')  # also read, from the working directory
+_READERS = 'jazzy', 'rmw_fastrtps_cpp'  # distribution and middleware known to read profiles
+_USUAL_PROFILES = Path('DEFAULT_FASTRTPS_PROFILES.xml')  # also read by Fast DDS
 _NETWORK_WAIT = 10.0  # s
 _NETWORK_PERIOD = 0.05  # s between checks
 
@@ -46,8 +46,8 @@ def prepare_discovery() -> None:
     it has when it joins the graph.
 
     If the graph is restricted to this machine (LOCALHOST without peers), a profile binds the
-    sockets to the loopback interface. The profile replaces the range, which is set to a neutral
-    value, unless another ROS distribution or middleware might not read the profile.
+    sockets to the loopback interface, and the range is set to a neutral value. Other ROS
+    distributions and middlewares might not read the profile, so they keep the range.
 
     :raises MiddlewareError: ROS cannot start with the environment's settings.
     """
@@ -64,8 +64,8 @@ def prepare_discovery() -> None:
     if stays:
         os.environ[RANGE] = 'SYSTEM_DEFAULT'
     os.environ[READ_PROFILES] = '1'
-    later = os.environ.get('ROS_DISTRO', '') > _READERS[0]  # named in alphabetical order
-    names = PROFILES[1:] if later else PROFILES  # later ones warn about the first
+    later = os.environ.get('ROS_DISTRO', '') > _READERS[0]  # alphabetical names
+    names = PROFILES[1:] if later else PROFILES  # later distributions warn about the first
     os.environ.update(dict.fromkeys(names, loopback if stays or given else quick))
 
 
@@ -81,12 +81,12 @@ def _reads_profiles() -> bool:
 
 
 def _await_network() -> None:
-    """Wait until this machine has an address towards every peer; report those without."""
+    """Wait for a network connection to every peer; report peers still without one."""
     deadline = time.monotonic() + _NETWORK_WAIT
     while absent := _absent_networks():
         if time.monotonic() > deadline:
             print(
-                f'no network is up towards {", ".join(absent)}: nodes there do not find this '
+                f'no network connection to {", ".join(absent)}: nodes there cannot find this '
                 'process; connect this machine, and start again',
                 file=sys.stderr,
                 flush=True,
@@ -118,7 +118,7 @@ def _absent_networks() -> list[str]:
 # amount: https://github.com/ros2/ros2/issues/1080
 
 _SET = 1_000_000  # ns; smaller differences from the steady clock are ignored
-_READINGS = 5  # number of readings; the fastest is used, since the process may be preempted
+_READINGS = 5  # readings; the fastest is used, since preemption delays others
 _TIME_PERIOD = 0.5  # s between checks of the system time
 
 
@@ -126,8 +126,8 @@ class TimeOfDay:
     """
     A detector of changes of the system time.
 
-    :ivar now: system time at the last check as if it had not been set, ns since the epoch.
-    :ivar ahead: total offset by which it had been set by then, ns.
+    :ivar now: system time at the last check, without the detected changes, ns since the epoch.
+    :ivar ahead: sum of the detected changes, ns.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ def watch_time(node: Callable[[], Any]) -> None:
     """
     Call ``notify_time_set`` of a node, from another thread, whenever the system time is set.
 
-    :param node: function that returns the node; None: it is gone.
+    :param node: function that returns the node, or None if it is gone.
     """
 
     def watch() -> None:
@@ -202,12 +202,12 @@ class MemoryReturn:
             self._trim(0)
 
 
-# Executors. In rclpy 9.1.2, of Kilted, that of events ends a process with action servers by a
-# segmentation fault when a goal is canceled or preempted.
+# Executors. In rclpy 9.1.2 (Kilted), a process with an EventsExecutor and action servers ends with
+# a segmentation fault when a goal is canceled or preempted.
 
 
 def events_crash() -> bool:
-    """Return whether the EventsExecutor of this distribution is not to be used."""
+    """Return whether the EventsExecutor of this distribution must not be used."""
     return os.environ.get('ROS_DISTRO') == 'kilted'
 
 
@@ -228,7 +228,7 @@ def reset_postponed(node: Any) -> None:
 
 
 def restart_postponed_timers(node: Any, ended: threading.Event) -> None:
-    """Reset delayed timers of a node, from another thread, until it has ended."""
+    """Reset postponed timers of a node, from another thread, until it has ended."""
 
     def reset() -> None:
         while not ended.wait(_TIMER_PERIOD):
@@ -249,7 +249,7 @@ def limit_leaving(seconds: int | None = None) -> None:
 
     By then the node is closed and its messages have been received.
 
-    :param seconds: time limit in s; 0: none; None: the default.
+    :param seconds: time limit, s; 0 for none, None for the default.
     """
     signal.alarm(_LEAVING if seconds is None else seconds)
 
@@ -257,4 +257,4 @@ def limit_leaving(seconds: int | None = None) -> None:
 # Suspension. After 20 s without contact, processes drop each other, but not simultaneously; then
 # Fast DDS may never reconnect them: https://github.com/eProsima/Fast-DDS/issues/457
 
-MAX_PAUSE = 15.0  # s, maximum time that a process may be suspended
+MAX_PAUSE = 15.0  # s that a process may be suspended

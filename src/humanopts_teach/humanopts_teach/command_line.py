@@ -225,7 +225,7 @@ class LaunchOptions(DomainOptions):
         bool,
         flag(
             ' /--no-unstick',
-            'no random moves when an option repeats itself; without this, it then takes one to '
+            'no random moves when an option repeats itself; by default, the option takes one to '
             'three, in worlds that are restored by replay',
         ),
     ] = True
@@ -234,7 +234,7 @@ class LaunchOptions(DomainOptions):
         option(
             'SHARE',
             'smallest share of starts from which an option must reach an end like a demonstrated '
-            'one; default: 0.95. Fewer may fail where every start is known, more where actions '
+            'one; default: 0.95. Stricter where every start is known, laxer where actions '
             'have several outcomes',
             share,
         ),
@@ -342,8 +342,8 @@ class SegmentOptions:
         list[str],
         option(
             'NUMBER=OPTION',
-            'option that segments of a kind demonstrate; may be repeated. Neighbours of the same '
-            'name are one demonstration; segments without a name are left out',
+            'option demonstrated by segments of kind NUMBER; may be repeated. Neighbours of the '
+            'same name are one demonstration; segments without a name are left out',
         ),
     ] = field(default_factory=list)
     out: Annotated[

@@ -61,7 +61,7 @@ def test_the_domain_comes_back_with_its_parameters_or_the_reason_is_named(tmp_pa
     other.publisher_id, other.sequence = '/game#2', 1
     cases = [
         ([('/game_state', numbered(1))], 'does not say which domain'),
-        ([('/domain_info', unknown)], "no domain 'chess'"),
+        ([('/domain_info', unknown)], "unknown domain 'chess'"),
         ([('/domain_info', taxi), ('/domain_info', other)], 'several domains'),
         ([('/a/domain_info', taxi), ('/b/domain_info', other)], 'several namespaces: /a, /b'),
     ]

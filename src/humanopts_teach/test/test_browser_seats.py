@@ -149,7 +149,7 @@ STORIES = {
         A presses a
         A shows a on 1
         B presses enter
-        A shows It goes on in another window.
+        A shows Continued in another window.
         B shows a on 1
         A presses b
         B shows a on 1

@@ -315,7 +315,7 @@ def test_a_key_counts_only_for_the_screen_and_the_question_that_were_seen(tmp_pa
         desk.advance()
     assert desk.lesson.view.participant == 'p7'
     assert 'What next?' in desk.see()
-    assert '1 was pressed before this was shown; ignored.' in desk.see()
+    assert '1 was ignored: it was pressed before this screen.' in desk.see()
     desk.press('1').type('fetch').press('y', 'o')
     desk.app.next_start = AT_R
     desk.press('enter', 'left', 'p')
@@ -328,7 +328,7 @@ def test_a_key_counts_only_for_the_screen_and_the_question_that_were_seen(tmp_pa
     desk.asked.clear()
     desk.advance()
     assert [type(each) for each in desk.asked] == [BeginDemonstration]
-    assert 'was pressed before this was shown' in desk.see()
+    assert 'was ignored: it was pressed before this screen' in desk.see()
     desk.store.close()
 
 
@@ -405,7 +405,7 @@ def test_the_speed_stays_within_its_limits(
 
 
 def test_a_number_repeats_an_action(desk: Desk) -> None:
-    assert '12 times: now an action key.' in desk.press('0', '1', '2').see()
+    assert '12 times: now press an action key.' in desk.press('0', '1', '2').see()
     assert desk.press('?').see().count('a number before an action repeats it') == 1
     desk.press('escape', '3', 'left')
     assert [step.previous_action for step in desk.world.driven] == ['west'] * 3

@@ -163,7 +163,7 @@ def test_the_bag_of_a_robot_is_exported_by_its_description(tmp_path: Path) -> No
     steps = frames(bag)['steps']
     assert list(steps['feature:far']) == [0.0, 1.5, 3.0]
     assert list(steps['feature:lamp']) == ['on'] * 3
-    with pytest.raises(BagError, match="no domain 'rover'"):
+    with pytest.raises(BagError, match="unknown domain 'rover'"):
         read_domain(bag)
 
 

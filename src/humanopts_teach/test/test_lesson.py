@@ -260,7 +260,7 @@ def test_a_derived_feature_is_asked_about_last_in_every_option_and_kept(
         fill_disk(patch)
         assert table.ask(derived).status is RequestStatus.NOT_SAVED
     assert not table.lesson.view.derived_features
-    assert table.ask(derived).detail == f'begun: {OPTION}; it is also asked about {OFFSET}'
+    assert table.ask(derived).detail == f'new option: {OPTION}; also asked about: {OFFSET}'
     assert table.lesson.view.questions_total == len(FEATURES) + 1
     table.answer_all()
     view = table.lesson.view

@@ -37,7 +37,7 @@ def test_a_graph_in_which_all_is_well() -> None:
     ('changes', 'fault'),
     [
         ({'answer': None}, 'game does not answer'),
-        ({'stopped': True}, 'game is stopped; kill -CONT 4711 lets it go on'),
+        ({'stopped': True}, 'game is stopped; kill -CONT 4711 resumes it'),
         ({'state': 'paused', 'text': 'no room'}, 'game is paused: no room'),
         ({'state': 'starting'}, 'game is starting'),
         ({'state': ''}, 'game is silent'),
@@ -55,7 +55,7 @@ def test_a_node_that_does_not_work_is_a_fault(changes: dict[str, object], fault:
         ({'stopped': True, 'text': 'recording stopped: full'}, 'recording stopped: full'),
         ({'behind': True, 'text': 'it does not keep up'}, 'it does not keep up'),
         ({'missing': 3}, '3 messages are missing in the bag'),
-        ({'complete': False}, 'the recorder has not got every topic'),
+        ({'complete': False}, 'the recorder still lacks some topics'),
         ({'disk_left': LITTLE_DISK - 1}, '1,000.0 MB are left on the disk'),
     ],
 )

@@ -319,16 +319,16 @@ def test_text_of_a_cell_is_read_back_as_it_was(text: str) -> None:
 
 
 def test_a_code_that_differs_only_in_case_is_asked_about_or_refused(
-    files: Files, capsys: pytest.CaptureFixture[str]
+    files: Files, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files.write('000-Simulated-1.jsonl', began('Simulated-1'))
     plan = ['study', str(files.path / 'plan.yaml'), '--study', str(files.study)]
-    assert main([*plan, '--simulate', '1']) == 2
-    assert "'simulated-1' differs only in case from 'Simulated-1'" in capsys.readouterr().err
-    words = ['-m', 'humanopts_teach', *plan, '--participant', 'SIMULATED-1']
     with free_domain_id() as number:  # where nothing runs already
-        place = {**os.environ, 'ROS_DOMAIN_ID': str(number)}
-        terminal = pexpect.spawn(sys.executable, words, env=place, encoding='utf-8', timeout=60.0)
+        monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
+        assert main([*plan, '--simulate', '1']) == 2
+        assert "'simulated-1' differs only in case from 'Simulated-1'" in capsys.readouterr().err
+        words = ['-m', 'humanopts_teach', *plan, '--participant', 'SIMULATED-1']
+        terminal = pexpect.spawn(sys.executable, words, encoding='utf-8', timeout=60.0)
         terminal.expect_exact('Go on as Simulated-1? [y/N]')
         terminal.sendline('n')
         terminal.expect_exact("give 'Simulated-1' to go on, or another code")

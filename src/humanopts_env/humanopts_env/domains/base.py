@@ -16,7 +16,7 @@ Parameter = int | float | str | bool
 
 
 class DomainError(ValueError):
-    """The domain cannot do what was requested; the text says what and why."""
+    """A domain cannot fulfil a request; the message names the request and the reason."""
 
 
 class StateError(DomainError):
@@ -44,13 +44,13 @@ class Feature:
     question: str  # completes "Does OPTION depend on ...?"
     kind: FeatureKind
     values: tuple[str, ...] = ()  # text of each ordinal or nominal value
-    unit: str = ''  # of a continuous feature, such as m or rad; empty: none
+    unit: str = ''  # unit of a continuous feature, such as m or rad; empty if none
     low: float = 0.0  # range of a continuous feature; both finite
     high: float = 0.0
 
     @classmethod
     def number(cls, name: str, question: str, count: int, *more: str) -> 'Feature':
-        """Return an ordinal feature of the numbers below ``count``, followed by other values."""
+        """Return an ordinal feature with the numbers below ``count``, then other values."""
         return cls(name, question, FeatureKind.ORDINAL, (*map(str, range(count)), *more))
 
     @classmethod
@@ -61,7 +61,7 @@ class Feature:
         Return the row and the column of an object as features.
 
         :param name: prefix of both names; empty: the names are row and col.
-        :param words: the object in words, such as the taxi.
+        :param words: the object in questions, such as the taxi.
         :param more: additional values of both, such as none.
         """
         row, col = (f'{name}_{axis}'.strip('_') for axis in ('row', 'col'))
@@ -80,7 +80,7 @@ class Feature:
         cls, name: str, question: str, low: float, high: float, unit: str = ''
     ) -> 'Feature':
         """Return a feature of the real numbers from ``low`` to ``high``."""
-        # messages have floats: a whole number would be sent as another one
+        # message fields are floats, so decoded bounds are, too
         return cls(name, question, FeatureKind.CONTINUOUS, (), unit, float(low), float(high))
 
     def has(self, value: float) -> bool:
@@ -138,8 +138,8 @@ class Action:
     name: str  # snake_case
     key: str  # one character, or up, down, left, right
     description: str
-    seconds: float = 0.0  # longest duration; 0: it is taken at once
-    idle: bool = False  # it waits
+    seconds: float = 0.0  # maximum duration; 0: immediate
+    idle: bool = False  # whether it only waits
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,7 @@ class Outcome(Generic[S]):
 
     state: S
     reward: float
-    terminated: bool  # the task is over in ``state``
+    terminated: bool  # whether the task is over in ``state``
 
 
 class ActableDomain(Protocol):
@@ -169,7 +169,7 @@ class ActableDomain(Protocol):
         """Return whether the task is over in ``state``, so that no step can be taken."""
 
     def feature_values(self, state: Any) -> Floats:
-        """Return the value of every feature, (F,), see ``Feature``."""
+        """Return the value of every feature, (F,); see ``Feature``."""
 
     def encode(self, state: Any) -> str:
         """Return the state in the domain's notation, one line."""
@@ -177,7 +177,7 @@ class ActableDomain(Protocol):
 
 class Domain(ActableDomain, Protocol[S]):
     """
-    The rules of one game. Implementations are immutable: all state is in the values passed.
+    The rules of one game. Implementations are immutable: all state is passed as arguments.
 
     ``humanopts_env.testing`` tests the contract of every implementation.
     """
@@ -200,7 +200,7 @@ class Domain(ActableDomain, Protocol[S]):
         """Return whether ``action`` can lead from ``state`` to ``successor``."""
 
     def feature_values(self, state: S) -> Floats:
-        """Return the value of every feature, (F,), see ``Feature``."""
+        """Return the value of every feature, (F,); see ``Feature``."""
 
     def encode(self, state: S) -> str:
         """Return the state in the domain's notation, one line."""
@@ -213,7 +213,7 @@ class Domain(ActableDomain, Protocol[S]):
         """
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
-        """Draw possible start states of demonstrations (never over)."""
+        """Draw possible start states of demonstrations, none of them over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +239,7 @@ class Transitions:
 
 @dataclass(frozen=True, slots=True)
 class BoardSlice:
-    """States that differ only in the agent's position, laid out as the cells of their board."""
+    """States that differ only in the agent's position, arranged like the cells of the board."""
 
     title: str
     states: NDArray[np.int32]  # (rows, cols) state indices; -1: no state there
@@ -257,7 +257,7 @@ class EnumerableDomain(Domain[S], Protocol[S]):
         """
         Return the index of a state, 0..n_states-1.
 
-        :raises StateError: it is not a state of this domain.
+        :raises StateError: ``state`` is not a state of this domain.
         """
 
     def state_at(self, index: int) -> S:

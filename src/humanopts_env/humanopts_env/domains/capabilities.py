@@ -4,13 +4,13 @@ Optional capabilities of domains, used by the learner and the teaching tools.
 A domain has a capability if it has the method or attribute; nothing is registered.
 
 - ``HasBoard``: a board to draw.
-- ``HasPicture``: a picture of a state that cannot hide features.
+- ``HasPicture``: a picture of a state, in which features cannot be hidden.
 - ``HasPlanningFeatures``: games with features only for planning.
 - ``HasPrimitiveColumns``: the features used by plans with primitive actions.
 - ``HasSearchSpace``: the search space for subgoals of automatic options.
 - ``HasTeachingDefaults``: the options to teach.
 - ``HasBaselines``: the baselines of plans, and the variants of the game for comparisons.
-- ``HasActionMask``: the actions that can change something, if states cannot be listed.
+- ``HasActionMask``: the actions that can change the state, if states cannot be listed.
 - ``HasStepEffects``: descriptions of the effects of steps.
 - ``HasCaption``: the mission of an episode.
 - ``HasExplanation``: an explanation of the game and the signs on the board.
@@ -39,12 +39,12 @@ class HasBoard(Protocol):
         """
         Return the board of a state.
 
-        :param shown: names of the only features that may be revealed; None: all.
+        :param shown: names of the features that may be revealed; None: all.
         """
 
 
 def board_of(domain: ActableDomain, state: Any, shown: Collection[str] | None = None) -> Board:
-    """Return the board of a state; a board without cells lists the features to show."""
+    """Return the board of a state; without ``HasBoard``, it lists the features to show."""
     if isinstance(domain, HasBoard):
         return domain.board(state, shown)
     return Board(notes=in_words(shown_values(domain, state, shown)))
@@ -60,14 +60,14 @@ class HasPicture(Protocol):
 
 @runtime_checkable
 class HasCaption(Protocol):
-    """A domain with episodes that differ in what is to be done."""
+    """A domain with episodes that differ in their missions."""
 
     def caption(self, state: Any) -> str:
-        """Return what a person must know beside the features: the mission; empty: nothing."""
+        """Return the mission, which a person must know besides the features; empty if none."""
 
 
 def caption_of(domain: ActableDomain, state: Any) -> str:
-    """Return the caption of a state, on one line; empty if there is none."""
+    """Return the caption of a state, on one line; empty if none."""
     return ' '.join(domain.caption(state).split()) if isinstance(domain, HasCaption) else ''
 
 
@@ -75,9 +75,9 @@ def pictured_board_of(
     domain: ActableDomain, state: Any, shown: Collection[str] | None = None
 ) -> Board:
     """
-    Return the board of a state for a person: with its picture, if it has one.
+    Return the board of a state with its picture, if any.
 
-    A picture takes time, so only processes that draw call this.
+    Pictures are slow to make, so only processes that draw call this.
 
     :param shown: as in ``board_of``; the picture ignores it.
     """
@@ -86,7 +86,7 @@ def pictured_board_of(
         return board
     try:
         picture = domain.picture(state)
-    except Exception as error:  # of code that is not ours; the features are shown without it
+    except Exception as error:  # raised by external code; the features are still shown
         picture = f'no picture: {error}'
     if picture is None or isinstance(picture, str):
         return replace(board, picture=plain_picture(picture or ''))
@@ -107,13 +107,13 @@ def in_words(values: Mapping[str, str], drawn: Collection[str] = ()) -> tuple[st
 @runtime_checkable
 class HasPlanningFeatures(Protocol):
     """
-    Games with features for planning, about which people are not asked.
+    Games with features only for planning; people are not asked about them.
 
-    They have few values, so that abstract states are visited often.
+    These features have few values, so that abstract states are visited often.
     """
 
     def planning_features(self) -> NDArray[np.integer]:
-        """Return their values, (N, P), whole numbers from 0."""
+        """Return the planning features, (N, P), whole numbers from 0."""
 
 
 @runtime_checkable
@@ -155,7 +155,7 @@ class Baselines:
 
     variants: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     """Changed parameters of each variant of the game to compare in, by the variant's name."""
-    paper_options: tuple[str, ...] = ()  # option names of the plan as in the paper
+    paper_options: tuple[str, ...] = ()  # option names of the paper's plan
     heuristic: Callable[[Any], Ints] | None = None
     """A rule written by hand: returns the action (N,) in each of N ``Games``."""
 
@@ -170,10 +170,10 @@ class HasBaselines(Protocol):
 
 @runtime_checkable
 class HasActionMask(Protocol):
-    """A domain that defines which actions can change something."""
+    """A domain that defines which actions can change the state."""
 
     def action_mask(self, state: Any) -> NDArray[np.int8]:
-        """Return the mask, (A,): 1 for actions that can change something."""
+        """Return the mask, (A,): 1 for actions that can change the state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +200,7 @@ def step_effect(domain: ActableDomain, state: Any, action: int, successor: Any) 
 
 
 def plain_effect(domain: ActableDomain, state: Any, action: int, successor: Any) -> StepEffect:
-    """Return the name of the action of a step, or that nothing changed."""
+    """Return the effect of a step: the name of its action, or that nothing changed."""
     if state == successor:
         return StepEffect('nothing changed', changed=False)
     return StepEffect(domain.actions[action].name)
@@ -224,7 +224,7 @@ def move_effect(asked: str, went: str, *, free: bool = False) -> StepEffect:
 class FeatureGroup:
     """Features of one object."""
 
-    words: str  # completes "anything about ...": the ghosts
+    words: str  # completes "anything about ...", such as the ghosts
     features: tuple[str, ...]  # names, two or more
 
 
@@ -244,10 +244,10 @@ def feature_groups(domain: ActableDomain) -> Sequence[FeatureGroup]:
 class HasExplanation(Protocol):
     """A domain that explains the game to a person."""
 
-    # Signs on the board with their meanings; the first sign is empty: what to do.
+    # Signs on the board with their meanings. The first sign is empty; its text is the goal.
     explanation: Sequence[tuple[str, str]]
 
 
 def explanation(domain: ActableDomain) -> Sequence[tuple[str, str]]:
-    """Return the signs of a domain and their meanings; empty without an explanation."""
+    """Return the signs of a domain and their meanings; empty if it has no explanation."""
     return domain.explanation if isinstance(domain, HasExplanation) else ()

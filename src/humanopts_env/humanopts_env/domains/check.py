@@ -1,8 +1,8 @@
 """
 The contract of every domain, as claims that are checked on some of its states and steps.
 
-``make_domain`` checks these claims for domains of other packages before a game is played; the
-tests of ``humanopts_env.testing`` check these and more claims on many more states.
+``make_domain`` checks these claims for domains of other packages before a game is played;
+``humanopts_env.testing`` checks these and more claims on many more states.
 """
 
 from collections.abc import Callable, Iterable
@@ -43,7 +43,7 @@ PARTS = dict.fromkeys(
 
 
 class ContractError(DomainError):
-    """A domain breaks the contract; the text says which domain and what is wrong."""
+    """A domain breaks the contract; the message names the domain and the breach."""
 
 
 class Breach(AssertionError):  # noqa: N818 - fails a test, or becomes a ContractError
@@ -54,7 +54,7 @@ def expect(kept: object, breach: str) -> None:
     """
     Check one claim.
 
-    :raises Breach: it does not hold.
+    :raises Breach: the claim does not hold.
     """
     if not kept:
         raise Breach(breach)
@@ -62,7 +62,7 @@ def expect(kept: object, breach: str) -> None:
 
 class Evidence:
     """
-    A domain with the states and steps on which its claims are checked.
+    A domain with the states and steps on which the claims are checked.
 
     :ivar steps: steps of a random walk with restarts: state, action, outcome.
     """
@@ -116,9 +116,9 @@ def names_and_numbers_are_usable(seen: Evidence) -> None:
 def the_same_generator_gives_the_same_step(seen: Evidence) -> None:
     for number, (state, action, outcome) in enumerate(seen.steps):
         again = seen.domain.step(state, action, seen.rng('step', number))
-        same = outcome == again or math.isnan(outcome.reward)  # nan is refused below
+        same = outcome == again or math.isnan(outcome.reward)  # NaN is refused below
         where = seen.where(state, action)
-        expect(same, f'{where} is not the same again with the same generator')
+        expect(same, f'{where} gives another result with the same generator')
 
 
 def a_state_has_a_text_features_and_a_board(seen: Evidence) -> None:
@@ -228,7 +228,7 @@ def check_description(domain: ActableDomain) -> None:
     """
     Check the description of a domain.
 
-    :raises ContractError: it is invalid.
+    :raises ContractError: the description is invalid.
     """
     try:
         _check_description(domain)

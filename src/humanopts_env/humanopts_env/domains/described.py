@@ -1,8 +1,8 @@
 """
-Domains known only by their messages, such as a robot or a simulator on the graph.
+Domains known only from messages, such as a robot or a simulator on the graph.
 
-Actions can be taken in them. Code that needs rules, such as planning, calls ``simulated``, which
-raises an error for such a domain.
+Actions can be taken in such a domain. Code that needs rules, such as planning, calls
+``simulated``, which raises an error for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ KIND_NUMBERS = {  # KIND_* of FeatureInfo.msg
 
 
 class NeedsRulesError(DomainError):
-    """The domain has no rules, which are needed here; the text says for what."""
+    """A domain lacks the rules needed for an operation; the message names the operation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class DescribedDomain(ActableDomain):
 
 def described_domain(message: Any) -> DescribedDomain:
     """
-    Decode the domain of a ``DomainInfo``, from rclpy or from a bag reader.
+    Decode the domain of a ``DomainInfo``, from rclpy or a bag reader.
 
     :raises DomainError: the description is invalid.
     """
@@ -97,13 +97,13 @@ def simulated(domain: ActableDomain, what: str) -> Domain:
     """
     Return a domain with its rules.
 
-    :param what: user of the rules, the first words of the error, such as planning.
-    :raises NeedsRulesError: its rules are unknown.
+    :param what: operation that needs the rules, such as planning; start of the error message.
+    :raises NeedsRulesError: the rules are unknown.
     """
     if can_simulate(domain):
         return domain
     raise NeedsRulesError(
-        f'{what} needs a domain that can be simulated; {domain.name} can only be acted in'
+        f'{what} needs a domain that can be simulated; {domain.name} cannot be simulated'
     )
 
 
@@ -111,7 +111,7 @@ def published_state(
     domain: ActableDomain, text: str, features: Sequence[float], *, over: bool = False
 ) -> Any:
     """
-    Return the state of a published text and features.
+    Return the state with a published text and features.
 
     :param over: whether the task is over.
     :raises StateError: the rules of the domain are known, and the text is not a state.

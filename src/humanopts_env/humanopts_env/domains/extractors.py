@@ -1,18 +1,18 @@
 """
-Features of an environment: read from its observations, or by a function of a researcher.
+Features of an environment, read from its observations or by a function that a researcher writes.
 
 An extractor is a function ``features(env) -> Mapping[str, value]`` in a file or a module. Values
-are bools, numbers, texts, members of an Enum, or None. Beside it, the module may have ``RANGES``
-(of each feature, by name), ``QUESTIONS`` (completing "Does OPTION depend on ...?") and ``ACTIONS``
-(the names of the actions, or their descriptions by name). A range is
+are bools, numbers, texts, members of an Enum, or None. The module may also define ``RANGES`` (by
+feature name), ``QUESTIONS`` (completing "Does OPTION depend on ...?") and ``ACTIONS`` (the names
+of the actions, or their descriptions by name). A range is
 
-- ``(0.0, 14.2)`` or ``(0.0, 14.2, 'm')``: numbers, with a unit,
-- ``(0, 9)`` or ``(0, 9, 'none')``: whole numbers, and None if there is a text,
+- ``(0.0, 14.2)`` or ``(0.0, 14.2, 'm')``: numbers, optionally with a unit,
+- ``(0, 9)`` or ``(0, 9, 'none')``: whole numbers, optionally with a text for None,
 - ``('wall', 'free')``: texts.
 
-``RANGES`` may be a function of the environment. Ranges that are not declared are measured, see
+``RANGES`` may be a function of the environment. Undeclared ranges are measured; see
 ``measured_range``. A function ``PREPARE`` is called with each new environment, for instance to
-turn off observations that are slow and not used.
+turn off slow, unused observations.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -37,27 +37,27 @@ import numpy as np
 EXTRACTORS = 'humanopts.features'  # group of entry points
 OBSERVATION = 'observation'  # name of the features read from the observation space
 MAX_NUMBERS = 64  # in a Box that is not an image
-MAX_NOMINAL = 20  # values of a Discrete that is not ordered
+MAX_NOMINAL = 20  # values of an unordered Discrete
 YES_NO = ('no', 'yes')
 OTHER = 'other'  # a text that was not seen when the range was measured
-WIDER = 3.0  # a measured range is wider than the values seen by at least this factor
+WIDER = 3.0  # minimum ratio of a measured range to the values seen
 Read = Callable[[Any, Any], Sequence[float]]  # environment, observation
-Samples = Iterable[tuple[Any, Any]]  # environments, which change, and their observations
+Samples = Iterable[tuple[Any, Any]]  # environment, which changes, and observation
 
 
 @dataclass(frozen=True)
 class Extractor:
-    """Features, and how they are read from the environment and its observation."""
+    """Features, and the function that reads them from an environment and its observation."""
 
-    name: str  # as a parameter of the domain
+    name: str  # value of the domain's parameter ``features``
     features: tuple[Feature, ...]
     read: Read
-    ranges: dict[str, list[Any]] = field(default_factory=dict)  # those that were measured
+    ranges: dict[str, list[Any]] = field(default_factory=dict)  # given or measured
     actions: Mapping[str, str] = field(default_factory=dict)  # descriptions by name
     prepare: Callable[[Any], object] = bool  # called with each new environment
 
 
-# Features of the documented observations of Gymnasium, by the name of the environment.
+# Features of the documented observations of Gymnasium, by environment name.
 
 OBSERVATIONS = {
     'CartPole': (
@@ -98,7 +98,7 @@ ACTIONS = {
 
 
 def question_of(name: str) -> str:
-    """Return the question about a feature without its own: it completes "Does it depend on"."""
+    """Return the default question about a feature, which completes "Does it depend on"."""
     return f'what {name} is'
 
 
@@ -108,11 +108,11 @@ def observed(
     """
     Return features read from observations.
 
-    :param name: of the domain, for errors.
+    :param name: name of the domain, for errors.
     :param known: name of the environment, a key of ``OBSERVATIONS`` if it is documented.
     :param space: observation space.
-    :param ranges: of features with infinite bounds; missing ones are measured.
-    :param samples: observations to measure with, read only if needed.
+    :param ranges: ranges of features with infinite bounds; missing ones are measured.
+    :param samples: observations for measuring ranges, read only if needed.
     :raises DomainError: the space has images or parts without features.
     """
     found = OBSERVATIONS.get(known)
@@ -142,12 +142,12 @@ def observed(
     )
 
 
-Part = tuple[list[Feature], Callable[[Any], Any]]  # features, and their numbers in an observation
+Part = tuple[list[Feature], Callable[[Any], Any]]  # features, and the reader of their values
 _ADVICE = 'write an extractor, a function features(env), and give it with --features FILE.py:NAME'
 
 
 def _parts(name: str, space: Any, key: str) -> Iterable[Part]:
-    """Return the parts of a space, each with its features; texts have none."""
+    """Return the parts of a space with their features; text spaces have none."""
     word = key or 'observation'
     if isinstance(space, spaces.Dict | spaces.Tuple):
         inner = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
@@ -199,7 +199,7 @@ def _discrete(word: str, count: int, first: int) -> Feature:
 
 
 def _name(key: str) -> str:
-    """Return a feature name made of a key of a space."""
+    """Return a feature name for a key of a space."""
     word = re.sub(r'\W+', '_', key.lower()).strip('_')
     return word if NAME.fullmatch(word) else f'observation_{word}'
 
@@ -225,7 +225,7 @@ def bounds(features: Iterable[Feature]) -> tuple[list[float], list[float]]:
 def clipped(
     values: Iterable[float], lowest: Iterable[float], highest: Iterable[float]
 ) -> list[float]:
-    """Return numbers within their bounds, as Python's own; nan remains nan."""
+    """Return values clipped to their bounds, as Python floats; NaN remains NaN."""
     return [
         float(low if value < low else high if value > high else value)
         for value, low, high in zip(map(float, values), lowest, highest, strict=True)
@@ -237,10 +237,10 @@ def clipped(
 
 def measured_range(values: Sequence[Any]) -> list[Any]:
     """
-    Return a range from values that were seen.
+    Return a range for sampled values.
 
-    Numbers have three times the size seen, or more up to 1, 2 or 5 times a power of ten, so that a
-    few episodes more or less give the same range. Texts are those seen, and other.
+    The bound of numbers is three times the largest magnitude, rounded up to 1, 2 or 5 times a
+    power of ten, so that it hardly depends on the sample. Texts are those sampled and ``other``.
     """
     if any(isinstance(value, str) for value in values):
         return [*sorted(set(values)), OTHER]
@@ -249,7 +249,7 @@ def measured_range(values: Sequence[Any]) -> list[Any]:
 
 
 def _round_up(size: float) -> float:
-    """Return the next number that is 1, 2 or 5 times a power of ten; 0 for 0."""
+    """Round up to 1, 2 or 5 times a power of ten; 0 stays 0."""
     if not size:
         return 0.0
     power = 10.0 ** math.floor(math.log10(size))
@@ -260,8 +260,8 @@ def feature_in(name: str, key: str, declared: Any, question: str) -> Feature:
     """
     Return the feature with a declared range.
 
-    :param name: of the domain, for errors.
-    :raises DomainError: it is not a range.
+    :param name: name of the domain, for errors.
+    :raises DomainError: ``declared`` is not a range.
     """
     if isinstance(declared, Feature):
         return declared
@@ -292,12 +292,13 @@ def find_extractor(
     """
     Return the features of an environment.
 
-    :param name: of the domain, for errors.
-    :param given: ``FILE.py:NAME``, ``MODULE:NAME``, the name of an entry point, or ``observation``
-        (the default without an entry point that is named like the package of the environment).
-    :param ranges: overrides those declared and measured.
-    :param samples: states of random walks; the first is read in any case.
-    :raises DomainError: the extractor cannot be loaded or used; the text says why.
+    :param name: name of the domain, for errors.
+    :param given: ``FILE.py:NAME``, ``MODULE:NAME``, the name of an entry point, or
+        ``observation``; empty: the entry point named like the environment's package, or else
+        ``observation``.
+    :param ranges: ranges that override declared and measured ones.
+    :param samples: function that returns the states of random walks, read only as needed.
+    :raises DomainError: the extractor cannot be loaded or used.
     """
     points = {point.name: point for point in registered(EXTRACTORS)}
     packages = [kind.__module__.partition('.')[0] for kind in type(env.unwrapped).__mro__]
@@ -312,14 +313,14 @@ def find_extractor(
     elif ':' in key:
         place, _, function_name = key.rpartition(':')
         if place.endswith('.py'):
-            place = str(Path(place).absolute())  # each node and each evaluation opens it
+            place = str(Path(place).absolute())  # valid in every working directory
             key = f'{place}:{function_name}'
         module, function = _loaded(name, place, function_name)
     else:
         known = ', '.join([OBSERVATION, *sorted(points)])
         raise DomainError(f'{name}: no features {key!r}; give FILE.py:NAME, or one of {known}')
     found = _extractor(name, key, module, function, env.unwrapped, ranges, samples)
-    if not found.actions and usual in points:  # an extractor need not repeat the names
+    if not found.actions and usual in points:  # an extractor need not repeat the actions
         return replace(
             found, actions=_actions_in(_loaded(name, *points[usual].value.split(':'))[0])
         )
@@ -327,7 +328,7 @@ def find_extractor(
 
 
 def _actions_in(module: Any) -> Mapping[str, str]:
-    """Return the descriptions of the actions by name, as far as a module has them."""
+    """Return a module's descriptions of the actions by name; empty if it has none."""
     actions = getattr(module, 'ACTIONS', {})
     if isinstance(actions, Mapping):
         return actions
@@ -363,7 +364,7 @@ def _extractor(
     given: Mapping[str, Any],
     samples: Callable[[], Samples],
 ) -> Extractor:
-    """Return the features of a function, with the ranges declared beside it."""
+    """Return the extractor of a function, with the ranges declared in its module."""
     declared = getattr(module, 'RANGES', {})
     walk = iter(samples())
     first = values_of(function, next(walk)[0])
@@ -396,7 +397,7 @@ def _check_names(name: str, what: str, given: Any, known: Iterable[str]) -> None
     """
     Check the names in a declaration.
 
-    :raises DomainError: it is no mapping, or has a name that is not a feature.
+    :raises DomainError: it is not a mapping, or has a name that is not a feature.
     """
     if not isinstance(given, Mapping):
         raise DomainError(f'{name}: {what} is {given!r}, and must be by the name of the feature')
@@ -412,10 +413,10 @@ def values_of(
     function: Callable[[Any], Any], env: Any, names: Mapping[str, Any] | None = None
 ) -> Mapping[str, Any]:
     """
-    Return what an extractor returns.
+    Call an extractor function and check its result.
 
-    :param names: the names it returned before; None: any.
-    :raises ValueError: it is no mapping, or has other names.
+    :param names: required names of the features; None: any.
+    :raises ValueError: the result is not a mapping, or has other names.
     """
     values = function(env)
     if not isinstance(values, Mapping) or not values:
@@ -431,7 +432,7 @@ def values_of(
 
 
 def _measured(name: str, key: str, values: list[Any]) -> list[Any]:
-    """Return the range of values that were seen."""
+    """Return the range of sampled values."""
     if all(isinstance(value, bool | np.bool_) for value in values):
         return [*YES_NO]
     values = [value.name.lower() if isinstance(value, Enum) else value for value in values]
@@ -453,7 +454,7 @@ def _measured(name: str, key: str, values: list[Any]) -> list[Any]:
 
 
 def _coder(feature: Feature) -> Callable[[Any], float]:
-    """Return the function from a value to its number; numbers out of range are clipped."""
+    """Return a function that converts values to floats; numbers are clipped to the range."""
     texts = feature.values
     if feature.kind is FeatureKind.CONTINUOUS:
         low, high = feature.low, feature.high

@@ -1,21 +1,20 @@
 """
 Derived features: formulas over the features of a domain.
 
-The name of a derived feature is its formula, such as ``hypot(x, y)`` or ``angle - 0.5 * x``, so
-it can be used wherever the name of a feature can. A formula has the syntax of Python, of which
-only the operators and functions below are accepted.
+The name of a derived feature is its formula, such as ``hypot(x, y)`` or ``angle - 0.5 * x``, and
+can be used like any feature name. A formula is a Python expression, limited to the operators and
+functions below.
 
 A number is a continuous feature, an ordinal feature or a constant. An ordinal value counts as the
-number that its text is, up to the first text that is not a number; that value and all later ones
-count as one more than the value before (the first: 0). A comparison is a nominal feature, no or
-yes, and counts as 0 or 1, like any feature with these values. The value of another nominal feature
-can only be compared, by its text.
+number in its text. Starting with the first text that is not a number, each value counts as one
+more than the value before it (0 if there is none). A comparison is a nominal feature with the
+values no and yes; like any such feature, it counts as 0 or 1. Other nominal features can only be
+compared, by the texts of their values.
 
 The range of a formula follows from the ranges of its features by interval arithmetic (Moore,
-1966). A formula that could have no finite value in this range is refused, so every value is
-finite. The same floating-point operations give the values and the ends of the range, each
-operation is monotone between the ends of its arguments' ranges and zero, and rounding is monotone.
-So every computed value is in the range.
+1966). A formula is refused if its range is not finite. Values and the ends of the range are
+computed by the same floating-point operations. Each operation is monotone between the ends of its
+arguments' ranges and zero, and rounding is monotone, so every computed value is in the range.
 """
 
 import ast
@@ -40,18 +39,18 @@ Source = int | str
 
 
 class FormulaError(DomainError):
-    """A text is not the formula of a derived feature; the message says why."""
+    """A text is not the formula of a derived feature; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureColumn:
-    """A feature of a domain or a derived one, and how to compute it from rows (N, F)."""
+    """A feature of a domain or a derived feature, and its source in rows (N, F)."""
 
     feature: Feature
     source: Source
 
     def values(self, rows: Rows) -> Floats:
-        """Return the value of the feature in each row (N, F), (N,)."""
+        """Return the feature's values (N,) in rows (N, F)."""
         return column_values(self.source, rows)
 
     def text(self, row: Floats) -> str:
@@ -81,15 +80,15 @@ def feature_columns(domain: ActableDomain, names: Iterable[str]) -> list[Feature
 
 
 def column_values(source: Source, rows: Rows) -> Floats:
-    """Return the value of a feature in each row (N, F), (N,)."""
+    """Return a feature's values (N,) in rows (N, F)."""
     if isinstance(source, int):
         return rows[:, source]
-    values: Floats = _compiled(source)(rows.T) + 0.0  # no -0.0
+    values: Floats = _compiled(source)(rows.T) + 0.0  # avoids -0.0
     return values
 
 
 def stacked(columns: Sequence[FeatureColumn], rows: Rows) -> Rows:
-    """Return the values of C features in rows (N, F), (N, C)."""
+    """Return the values (N, C) of C features in rows (N, F)."""
     return np.column_stack([rows[:, :0], *(column.values(rows) for column in columns)])
 
 
@@ -97,8 +96,8 @@ def derive(domain: ActableDomain, text: str) -> FeatureColumn:
     """
     Return the derived feature of a formula; its name is the formula in normal form.
 
-    :raises FormulaError: the text is not a formula over features of the domain, is too long, could
-        have no finite value, is constant, or is only the name of a feature.
+    :raises FormulaError: the text is not a formula over features of the domain, is too long, has
+        a range that is not finite, is constant, or is only the name of a feature.
     """
     return _derive(domain.name, tuple(domain.features), text)
 
@@ -133,11 +132,11 @@ def _derive(domain: str, features: tuple[Feature, ...], text: str) -> FeatureCol
 
 
 def plain_name(name: str) -> str:
-    """Return the name of a feature in words; a formula is set in parentheses."""
+    """Return the name of a feature in words; a formula is put in parentheses."""
     return name.replace('_', ' ') if name.isidentifier() else f'({name})'
 
 
-# From a formula over names to a formula over indices.
+# Conversion of a formula over names to a formula over indices.
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,11 +146,11 @@ class _Part:
     source: str  # formula over indices
     low: float = 0.0
     high: float = 0.0
-    unit: str | None = None  # None: a constant, which has every unit
+    unit: str | None = None  # None: a constant, which fits every unit
     truth: bool = False  # a comparison, 0 or 1
     words: tuple[str, ...] = ()  # texts of the values of a nominal or ordinal feature
     nominal: bool = False  # not a number
-    text: str | None = None  # of a text constant
+    text: str | None = None  # value of a text constant
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,19 +162,19 @@ class _Function:
     """
 
     values: Callable[..., Any]
-    words: str  # with a place for each argument
+    words: str  # with a placeholder for each argument
     unit: Callable[..., str | None]
     arguments: int
 
 
 def _common(*units: str | None) -> str | None:
-    """Return the unit of parts that have the same unit, or of the one that is not constant."""
+    """Return the common unit of the parts except constants; empty if their units differ."""
     known = {unit for unit in units if unit is not None}
     return None if not known else known.pop() if len(known) == 1 else ''
 
 
 def _scaled(left: str | None, right: str | None) -> str | None:
-    """Return the unit of a product: only constants keep it."""
+    """Return the unit of a product; it is known only if a factor is constant."""
     return _common(left, right) if None in (left, right) else ''
 
 
@@ -230,9 +229,9 @@ class _Reader:
 
     def read(self, node: ast.AST) -> _Part:
         """
-        Return a part of a formula.
+        Return a node as a part of a formula.
 
-        :raises FormulaError: it is invalid.
+        :raises FormulaError: the node is invalid.
         """
         match node:
             case ast.Name(name):
@@ -352,7 +351,7 @@ class _Reader:
     def _by_text(
         self, parts: tuple[_Part, _Part], nodes: tuple[ast.AST, ast.AST]
     ) -> tuple[_Part, _Part]:
-        """Return the sides of a comparison of texts, as numbers that are equal for equal texts."""
+        """Convert the sides of a comparison of texts to numbers, equal for equal texts."""
         known = next((part for part in parts if part.words), None)
         if known is None or not all(part.words or part.text is not None for part in parts):
             left, right = map(ast.unparse, nodes)
@@ -390,7 +389,7 @@ class _Reader:
 
 
 def _numbers(words: Sequence[str]) -> list[float]:
-    """Return the numbers that ordinal values count as."""
+    """Return the number for each ordinal value."""
     found: list[float] = []
     numeric = True
     for word in words:
@@ -424,7 +423,7 @@ def _negated(part: _Part) -> _Part:
 
 
 def _joined(name: str, left: _Part, right: _Part) -> _Part:
-    """Join comparisons by ``min`` (and) or ``max`` (or)."""
+    """Join comparisons with ``min`` (and) or ``max`` (or)."""
     join = min if name == 'min' else max
     low, high = join(left.low, right.low), join(left.high, right.high)
     return _Part(f'{name}({left.source}, {right.source})', low, high, '', truth=True)
@@ -468,9 +467,9 @@ def _words(node: ast.AST) -> str:
 @lru_cache(maxsize=1000)
 def _compiled(source: str) -> Callable[[Floats], Any]:
     """
-    Compile a formula over indices, which may be from a file.
+    Compile a formula over indices, which may come from a file.
 
-    :raises FormulaError: it has another form.
+    :raises FormulaError: the formula is invalid.
     """
     try:
         return _evaluator(ast.parse(source, mode='eval').body)
@@ -479,7 +478,7 @@ def _compiled(source: str) -> Callable[[Floats], Any]:
 
 
 def _evaluator(node: ast.AST) -> Callable[[Floats], Any]:
-    """Return a function from columns (F, N) to the value of a formula in each row, (N,)."""
+    """Return a function that computes a formula's values (N,) from columns (F, N)."""
     function: Callable[..., Any]
     match node:
         case ast.Constant(int() | float() as value):
@@ -505,5 +504,5 @@ def _evaluator(node: ast.AST) -> Callable[[Floats], Any]:
 
 
 def _pick(index: Floats, *numbers: float) -> Floats:
-    """Return the number that each ordinal or nominal value (N,) counts as."""
+    """Return the number for each ordinal or nominal value (N,)."""
     return np.array(numbers)[np.asarray(index, dtype=np.intp)]

@@ -55,7 +55,7 @@ WAYS = {
 }
 DIRECTIONS = {(0, -1): 'left', (1, 0): 'down', (0, 1): 'right', (-1, 0): 'up'}
 ENTERED = {'H': 'fell into a hole', GOAL: 'reached the goal'}
-TAXI = taxi.Taxi()  # the same grid with the same state indices
+TAXI = taxi.Taxi()  # with the same grid and state indices
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class View:
     board: Callable[[int, Mapping[str, str]], Board]  # state, texts of the features to show
     slices: list[BoardSlice] = field(default_factory=list)
     effect: Callable[[int, int, int], StepEffect] | None = None  # state, action, successor
-    text: Callable[[int], str] | None = None  # of a state; None: the texts of its features
+    text: Callable[[int], str] | None = None  # text of a state; None: of its features
 
 
 def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: set[int]) -> View:
@@ -114,7 +114,7 @@ def _actions(env: Any, name: str, count: int) -> tuple[Action, ...]:
 
 
 def _grid_view(actions: tuple[Action, ...], shape: tuple[int, int], tiles: list[str]) -> View:
-    """Return the view of a grid; cells that are never entered are a cliff."""
+    """Return the view of a grid; cells that are never entered form a cliff."""
     rows, cols = shape
     ways = {name: step for step, name in DIRECTIONS.items()}
     fixed = [
@@ -177,7 +177,7 @@ def _picture(env: Any) -> Callable[[int, Mapping[str, str]], Board]:
 
 GAMMA = 0.99  # not defined by Gymnasium
 MAX_STEPS = 1000  # if the environment has no limit
-ROUNDING = 1e-6  # largest deviation of the sum of an action's probabilities from 1
+ROUNDING = 1e-6  # tolerance for the sum of an action's probabilities
 Entry = tuple[float, int, float, bool]  # probability, successor, reward, over
 Table = list[list[list[Entry]]]  # by state, then action
 
@@ -188,7 +188,7 @@ class NoTableError(DomainError):
 
 class GymnasiumDomain(TableDomain[int]):
     """
-    The domain of one environment; ``gymnasium_domain`` creates the class of each id.
+    The domain of one environment; ``gymnasium_domain`` creates a class for each id.
 
     States are the observations 0..S-1. The parameters are the environment's keyword arguments.
     """
@@ -223,7 +223,7 @@ class GymnasiumDomain(TableDomain[int]):
         self.features, self.actions = self._view.features, self._view.actions
 
     def outcomes(self, state: int, action: int) -> Sequence[tuple[float, int, float]]:
-        """Return the table entries, the most probable first; of equals, the intended one."""
+        """Return the table entries, the most probable first; among equals, the intended one."""
         entries = [(share, to, gain) for share, to, gain, _ in self._table[state][action]]
         if len(entries) == 3:  # slippery grids list the intended outcome between two slips
             entries = [entries[1], entries[0], entries[2]]
@@ -278,8 +278,8 @@ def make_env(
     """
     Create an environment.
 
-    :param name: of its domain, for errors.
-    :raises DomainError: it is unknown, refuses the arguments, or raises an error.
+    :param name: name of the domain, for errors.
+    :raises DomainError: the environment is unknown, refuses the arguments, or raises an error.
     """
     if 'render_mode' in arguments:
         raise DomainError(f'{name} is drawn as it can be: leave render_mode out')
@@ -287,7 +287,7 @@ def make_env(
     mode: dict[str, Any] = {} if render_mode is None else {'render_mode': render_mode}
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore')  # about old versions; errors say what to do
+            warnings.simplefilter('ignore')  # warnings about old versions
             if package:
                 importlib.import_module(package)
             _check_arguments(name, env_id, arguments)
@@ -320,7 +320,7 @@ def _check_arguments(name: str, env_id: str, arguments: Mapping[str, Any]) -> No
         constructor = load_env_creator(entry) if isinstance(entry, str) else entry
     except Exception:  # import error: creation will report it
         return
-    common = {'max_episode_steps'}  # of gymnasium.make
+    common = {'max_episode_steps'}  # argument of gymnasium.make
     own = {key: value for key, value in arguments.items() if key not in common}
     if constructor is not None:
         check_parameters(name, constructor, own, spec.kwargs)
@@ -329,7 +329,7 @@ def _check_arguments(name: str, env_id: str, arguments: Mapping[str, Any]) -> No
 
 def _read_table(name: str, env: Any) -> Table:
     if not hasattr(env, 'P'):
-        raise NoTableError(f'{name} has no table of transitions (P), as FrozenLake or Taxi have')
+        raise NoTableError(f'{name} has no table of transitions (P), unlike FrozenLake or Taxi')
     if getattr(env, 'fickle_passenger', False):
         raise DomainError(
             f'{name} with fickle_passenger changes the destination outside its table'
@@ -380,7 +380,7 @@ def _end_states(name: str, table: Table, starts: set[int]) -> set[int]:
     """
     Return the states in which the task is over.
 
-    :raises DomainError: some transitions end the task in a state, others continue from it.
+    :raises DomainError: some transitions into a state end the task, and others do not.
     """
     entered, ended, waiting = set(starts), set(), list(starts)
     while waiting:

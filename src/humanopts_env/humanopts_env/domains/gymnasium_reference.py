@@ -1,8 +1,8 @@
 """
 Reference options of Gymnasium environments: known rules, and the missions of MiniGrid.
 
-They look at the environment itself. Other environments have none, so no simulated teacher; a
-package can add its own under the name of a domain, such as ``gymnasium:package/Maze-v0``.
+The options read the environment itself. Other environments have no options and thus no simulated
+teacher; a package can add options under a domain name, such as ``gymnasium:package/Maze-v0``.
 """
 
 from collections.abc import Mapping
@@ -19,24 +19,24 @@ from humanopts_env.domains.replayed_domain import History
 
 @dataclass(frozen=True)
 class WatchedOption:
-    """A ``ReferenceOption`` that looks at the environment."""
+    """A ``ReferenceOption`` that reads the environment."""
 
     domain: ReplayedEnvironment
     rule: Rule
 
     @property
     def name(self) -> str:
-        """The name for people."""
+        """The name shown to people."""
         return self.rule.name
 
     @property
     def definition(self) -> str:
-        """Where it starts, what it does and where it ends."""
+        """The initiation set, policy and termination condition in words."""
         return self.rule.definition
 
     @property
     def features(self) -> tuple[str, ...]:
-        """The relevant features; all of them with an extractor that has others."""
+        """The relevant features; all features if the extractor lacks those of the rule."""
         names = [feature.name for feature in self.domain.features]
         used = [each for each in self.rule.features if each in names or not each.isidentifier()]
         try:
@@ -46,15 +46,15 @@ class WatchedOption:
         return tuple(column.feature.name for column in columns) or tuple(names)
 
     def can_start(self, state: History) -> bool:
-        """Return whether there is something to do."""
+        """Return whether the rule has an action in a state."""
         return bool(self.optimal_actions(state))
 
     def ends(self, state: History) -> bool:
-        """Return whether its end is reached, or it has left its initiation set."""
+        """Return whether the option has reached its end or left its initiation set."""
         return self.reached(state) if state.over else not self.can_start(state)
 
     def reached(self, state: History) -> bool:
-        """Return whether its end is reached; a task may also be over without it."""
+        """Return whether the option has reached its end; the task may be over without it."""
         return bool(self.rule.done(*self._seen(state)))
 
     def optimal_actions(self, state: History) -> tuple[int, ...]:
@@ -84,9 +84,9 @@ def reference_options(domain: Domain) -> Mapping[str, ReferenceOption]:
 
 def _fly_to_the_pad(seen: Any) -> int:
     """
-    Return the action of a rule in the form of the one that comes with the environment.
+    Return the action of a rule of the same form as the environment's heuristic.
 
-    That one lands from 277 of 300 starts; with these numbers, from all of 300.
+    The heuristic lands from 277 of 300 starts; this rule, with other constants, from all 300.
     """
     x, y, x_speed, y_speed, angle, angular_speed, *legs = seen
     tilt = sink = 0.0
@@ -98,8 +98,8 @@ def _fly_to_the_pad(seen: Any) -> int:
     return 0 if abs(tilt) <= 0.1 else 1 if tilt > 0 else 3  # left or right engine
 
 
-# The errors of the lander in its rule, relative to a target angle and a target speed of descent.
-# On the ground, only the speed counts. The main engine is on if the second error is the larger.
+# The lander's deviations from a target angle and a target speed of descent, as in its rule. On the
+# ground, only the speed counts. The main engine is on if the second deviation is larger.
 _FLIES = '(not (left_leg or right_leg))'
 _TILT = f'(clip(0.6 * x + x_speed, -0.3, 0.3) - angle - 2 * angular_speed) * {_FLIES}'
 _SINK = f'(0.14 * abs(x) - 0.7 * y) * {_FLIES} - y_speed'

@@ -2,7 +2,7 @@
 Gymnasium environments without a table as domains: a state is a seed and the actions since reset.
 
 Any registered environment with a ``Discrete`` action space can be played. Its features are read
-from its observations or by an extractor, see ``extractors``.
+from its observations or by an extractor; see ``extractors``.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
 
-# pygame, which draws most environments, opens no window and no sound device.
+# Keep pygame, which draws most environments, from opening a window or a sound device.
 for _name, _value in {
     'SDL_VIDEODRIVER': 'dummy',
     'SDL_AUDIODRIVER': 'dummy',
@@ -38,9 +38,9 @@ for _name, _value in {
 }.items():
     os.environ.setdefault(_name, _value)
 
-WALKS, WALK = 4, 25  # random walks to measure ranges, and their steps
-FEW = 8  # features about which people are asked one by one
-WORDS_OF_KEYS = (  # words in the names of actions, the first that an action has
+WALKS, WALK = 4, 25  # random walks for measuring ranges, and steps of each
+FEW = 8  # maximum number of features to ask people about one by one
+WORDS_OF_KEYS = (  # key, and words; the first action with one of the words gets the key
     ('left', 'left west minus'),
     ('right', 'right east plus'),
     ('up', 'up north forward main gas faster accelerate'),
@@ -51,18 +51,19 @@ WORDS_OF_KEYS = (  # words in the names of actions, the first that an action has
 
 class Painter:
     """
-    Draws states of an environment in another one, which follows: many are slower when drawn.
+    Draws the states of an environment with a second one, which takes the same actions.
 
-    LunarLander, for one, is ten times slower, since its engines emit particles.
+    Drawing slows many environments down: LunarLander by a factor of ten, since its engines emit
+    particles.
     """
 
     def __init__(self, make: Callable[[], Any]) -> None:
-        """Draw with the environment that is made at the first drawing."""
+        """Store the function that makes the second environment."""
         self._make, self._env, self._seed = make, None, -1
         self._done: list[int] = []  # actions
 
     def draw(self, seed: int, actions: Sequence[int]) -> NDArray[np.uint8] | str | None:
-        """Return the rendering after some actions, and continue from there the next time."""
+        """Return the rendering after some actions; the next call continues if it can."""
         env = self._env = self._env or self._make()
         if env.render_mode is None:
             return None
@@ -70,7 +71,7 @@ class Painter:
         if seed != self._seed or self._done != actions[:known]:
             env.reset(seed=seed)
             known = 0
-        self._seed = -1  # until all steps are taken
+        self._seed = -1  # unknown until all steps are taken
         for action in actions[known:]:
             env.step(action)
         self._seed, self._done = seed, list(actions)
@@ -79,13 +80,13 @@ class Painter:
 
 
 class EnvironmentWorld:
-    """A Gymnasium environment as a ``World``; nothing that it returns is kept without a copy."""
+    """A Gymnasium environment as a ``World``; features and pictures are copies."""
 
     def __init__(self, name: str, env: Any, extractor: Extractor, painter: Painter) -> None:
         """
         Wrap an environment.
 
-        :param name: of the domain, for errors.
+        :param name: name of the domain, for errors.
         """
         self.name, self.env, self._extractor, self._painter = name, env, extractor, painter
         self._seed, self._actions = -1, list[int]()
@@ -109,7 +110,7 @@ class EnvironmentWorld:
         """
         Take an action; return the reward and whether the episode has terminated.
 
-        A truncation by the environment is ignored: ``max_steps`` of the domain truncates.
+        Truncation by the environment is ignored; the domain truncates after ``max_steps``.
 
         :raises DomainError: the environment raised an error.
         """
@@ -155,7 +156,7 @@ class EnvironmentWorld:
 
 class ReplayedEnvironment(ReplayedDomain):
     """
-    The domain of one environment; ``replayed_environment`` creates the class of each id.
+    The domain of one environment; ``replayed_environment`` creates a class for each id.
 
     Its parameters are the environment's keyword arguments, ``features`` and measured ``ranges``.
     """
@@ -169,7 +170,7 @@ class ReplayedEnvironment(ReplayedDomain):
         Create the environment and find its features.
 
         :param features: see ``find_extractor``.
-        :param ranges: ranges of features by name; those that are missing are declared or measured.
+        :param ranges: ranges by feature name, in place of declared or measured ones.
         :param arguments: arguments of the environment; JSON values only.
         :raises DomainError: the environment is unknown, refuses the arguments, has no discrete
             actions, or its features cannot be used.
@@ -202,7 +203,7 @@ class ReplayedEnvironment(ReplayedDomain):
         self.features = self._extractor.features
         self.actions = named_actions(self.name, env, self._extractor.actions)
         self.gamma = GAMMA
-        own = getattr(env.unwrapped, 'max_steps', None)  # of MiniGrid, for one
+        own = getattr(env.unwrapped, 'max_steps', None)  # as in MiniGrid
         self.max_steps = env.spec.max_episode_steps or (
             own if isinstance(own, int) and own > 0 else MAX_STEPS
         )
@@ -216,7 +217,7 @@ class ReplayedEnvironment(ReplayedDomain):
 
     def read_features(self, env: Any, observation: Any) -> Floats:
         """
-        Return the features (F,) of an environment of this id that another program steps.
+        Return the features (F,) of an environment with this id that another program steps.
 
         :param env: the environment without wrappers.
         """
@@ -227,7 +228,7 @@ class ReplayedEnvironment(ReplayedDomain):
         return str(getattr(self.world(state).env.unwrapped, 'mission', ''))  # type: ignore[attr-defined]
 
     def __reduce__(self) -> tuple[Callable[..., Domain], tuple[str, dict[str, Any]]]:
-        """Return how another process makes an equal domain."""
+        """Pickle the id and the parameters."""
         return _make, (self.env_id, self.parameters)
 
 
@@ -246,8 +247,8 @@ def domain_of_environment(env_id: str) -> Callable[..., Domain]:
     """
     Return the constructor of the domain of an environment.
 
-    It is read from the environment's table if there is one and neither ``features`` nor ``ranges``
-    are given; otherwise it is replayed.
+    The domain is read from the environment's table if there is one and neither ``features`` nor
+    ``ranges`` are given; otherwise it is replayed.
     """
 
     def make(**arguments: Any) -> Domain:
@@ -265,8 +266,8 @@ def named_actions(name: str, env: Any, given: Mapping[str, str]) -> tuple[Action
     """
     Return the actions of an environment.
 
-    They are named by the extractor, for documented environments here, by the environment's
-    ``get_action_meanings``, or numbered.
+    The names come from the extractor, ``ACTIONS`` (for documented environments) or the
+    environment's ``get_action_meanings``. Otherwise the actions are numbered.
 
     :raises DomainError: there are more actions than keys, or than names.
     """
@@ -294,7 +295,7 @@ def named_actions(name: str, env: Any, given: Mapping[str, str]) -> tuple[Action
 
 
 def groups_of(names: Sequence[str]) -> list[FeatureGroup]:
-    """Return the groups of many features: those of one object, such as key_row and key_path."""
+    """Group the features of each object, such as key_row and key_path, if there are many."""
     groups = dict[str, list[str]]()
     for name in names:
         groups.setdefault(name.rpartition('_')[0], []).append(name)

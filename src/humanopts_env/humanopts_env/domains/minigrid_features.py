@@ -1,15 +1,15 @@
 """
 Features of MiniGrid: the agent, its neighbourhood, and each kind of object in the environment.
 
-The whole grid is read, not only the part that the agent sees. Names and ranges are equal for all
-seeds of an environment, and in environments of other sizes with the same kinds of objects.
+The whole grid is read, not only the part that the agent sees. Names and ranges are the same for
+all seeds of an environment, and for environments of other sizes with the same kinds of objects.
 
-What transfers to other places comes first: people are asked about features in this order.
+Features that transfer to other places come first; people are asked about features in this order.
 
-Of several objects of a kind, the features describe one: the one with the colour that the mission
-names, else a locked door, else the nearest. A mission that names several colours of one kind has
-features for each, such as red_door_path; where the kind in the mission varies, the object that it
-names is the target.
+Of several objects of a kind, the features describe the one with the colour that the mission names,
+else a locked door, else the nearest object. If the mission names several colours of one kind, each
+colour has its own features, such as red_door_path. If missions name objects of different kinds,
+the named object has features as the target.
 """
 
 from collections import deque
@@ -21,15 +21,15 @@ from typing import Any, NamedTuple
 
 from humanopts_env.domains.base import Feature, FeatureKind
 
-SIZE = 25  # of the largest environments of MiniGrid; ranges are larger only for larger ones
-SCANNED = 16  # seeds whose grids are searched for kinds of objects
+SIZE = 25  # cells, side of MiniGrid's largest grids; ranges grow only for larger ones
+SCANNED = 16  # number of seeds with grids that are searched for kinds of objects
 COLOURS = 'red', 'green', 'blue', 'purple', 'yellow', 'grey'
 PORTABLE = 'key', 'ball', 'box'
 THINGS = (*PORTABLE, 'door', 'goal', 'lava')  # in the order of their features
 TARGET = 'target'
 NAMED = re.compile(rf'({"|".join(COLOURS)}) ({"|".join((*PORTABLE, "door"))})')
 CONTENTS = 'empty', 'wall', *PORTABLE, 'open door', 'closed door', 'locked door', 'goal', 'lava'
-DIRECTIONS = 'east', 'south', 'west', 'north'  # by the number in MiniGrid
+DIRECTIONS = 'east', 'south', 'west', 'north'  # in the order of MiniGrid
 MOVES = 'left', 'right', 'forward', 'there', 'none'
 LEFT, RIGHT, FORWARD, THERE, NOWHERE = range(5)
 DOOR_STATES = 'open', 'closed', 'locked', 'none'
@@ -46,10 +46,10 @@ Cell = tuple[int, int]  # column, row, as in MiniGrid
 
 
 class Thing(NamedTuple):
-    """A kind of object with features of its own."""
+    """A kind of object with its own features."""
 
     name: str  # prefix of the features, such as red_door
-    kind: str  # of MiniGrid, or target
+    kind: str  # kind in MiniGrid, or target
     colour: str = ''  # empty: any
 
 
@@ -110,7 +110,7 @@ class View(dict[str, Any]):
     """The agent's observation, computed when it is read."""
 
     def __init__(self, compute: Callable[[], Mapping[str, Any]]) -> None:
-        """Read the observation with ``compute``."""
+        """Store the function that computes the observation."""
         super().__init__()
         self._compute = compute
 
@@ -120,7 +120,7 @@ class View(dict[str, Any]):
 
 
 def PREPARE(env: Any) -> None:  # noqa: N802 - the name that extractors use
-    """Do not compute observations, which take four fifths of the time and are rarely read."""
+    """Compute observations only when read: they take four fifths of the time."""
     env.gen_obs = partial(View, env.gen_obs)
 
 
@@ -159,7 +159,7 @@ def RANGES(env: Any) -> dict[str, Feature]:  # noqa: N802 - the name that extrac
 
 
 def contents(thing: Any) -> str:
-    """Return what is in a cell: one of ``CONTENTS``."""
+    """Return the contents of a cell, one of ``CONTENTS``."""
     if thing is None or thing.type == 'floor':
         return 'empty'
     if thing.type == 'door':
@@ -170,7 +170,7 @@ def contents(thing: Any) -> str:
 def _objects_of(
     thing: Thing, named: Sequence[tuple[str, str]], objects: Sequence[tuple[int, Any]]
 ) -> list[tuple[int, Any]]:
-    """Return the objects that a thing may be, with their cells; the nearest of them is it."""
+    """Return the candidates for a thing, with their cells; features describe the nearest."""
     if thing.kind == TARGET:
         wanted = named[:1]
         return [(cell, each) for cell, each in objects if (each.color, each.type) in wanted]
@@ -197,7 +197,7 @@ def things_of(env: Any) -> list[Thing]:
 
 
 def _scanned(env: Any) -> Iterator[Thing]:
-    """Return the things on the grids of some seeds."""
+    """Yield the things on the grids of some seeds."""
     kinds, missions = set(), []
     for seed in range(SCANNED):
         env.reset(seed=seed)
@@ -225,8 +225,8 @@ def way(walkable: bytes, width: int, target: int, pose: int) -> tuple[int, int]:
     :param walkable: (cells,) 1 where the agent can walk; closed doors can be opened on the way.
     :param target: index of the cell to face.
     :param pose: 4 times the index of the agent's cell, plus its direction.
-    :return: moves, and LEFT, RIGHT, FORWARD, THERE or NOWHERE; the number of cells times 4, and
-        NOWHERE, if there is no path.
+    :return: number of moves, and LEFT, RIGHT, FORWARD or THERE; without a path, 4 times the number
+        of cells, and NOWHERE.
     """
     moves = moves_to(walkable, width, target)
     here = moves[pose]
@@ -242,7 +242,7 @@ def way(walkable: bytes, width: int, target: int, pose: int) -> tuple[int, int]:
 
 @lru_cache(maxsize=10_000)
 def moves_to(walkable: bytes, width: int, target: int) -> list[int]:
-    """Return the number of moves from each pose until the target is in front; -1: no path."""
+    """Return the number of moves from each pose until the target is in front; -1 if none."""
     ahead = [right + width * down for right, down in STEPS]
     moves = [-1] * (4 * len(walkable))
     waiting: deque[int] = deque()

@@ -1,8 +1,8 @@
 """
 Reference options of MiniGrid: get the key, open the locked door, go to the goal, get the object.
 
-They know the whole grid and take the shortest paths of ``minigrid_features``, on which closed
-doors are opened. Of equally good moves, straight on comes first, then left.
+They use the whole grid and take the shortest paths of ``minigrid_features``, on which closed doors
+are opened. Of equally good moves, forward comes first, then left.
 """
 
 from typing import Any
@@ -41,17 +41,17 @@ def best_moves(env: Any, aims: Aims) -> tuple[int, ...]:
 
 
 def walkable(env: Any) -> bytes:
-    """Return (cells,): 1 where the agent can walk, if it opens closed doors."""
+    """Return (cells,): 1 where the agent can walk, possibly after opening a closed door."""
     return bytes(contents(thing) in WALKABLE for thing in env.grid.grid)
 
 
 def find(env: Any, kind: str) -> list[int]:
-    """Return the cells with one of ``CONTENTS``."""
+    """Return the cells with given contents, one of ``CONTENTS``."""
     return [cell for cell, thing in enumerate(env.grid.grid) if contents(thing) == kind]
 
 
 def holds(env: Any, kind: str) -> bool:
-    """Return whether the agent carries an object of a kind; nothing: it carries nothing."""
+    """Return whether the agent carries an object of a kind, or nothing if ``kind`` is nothing."""
     return (env.carrying.type if env.carrying else 'nothing') == kind
 
 
@@ -62,7 +62,7 @@ def to_the_key(env: Any) -> Aims:
 
 
 def to_the_object(env: Any) -> Aims:
-    """Pick up the object of the mission; first put down what is carried, out of the way."""
+    """Pick up the object of the mission; first put any other object down, out of the way."""
     width, grid = env.grid.width, walkable(env)
     there = [cell for cell, thing in enumerate(env.grid.grid) if thing is env.obj]
     if holds(env, 'nothing') or not there:

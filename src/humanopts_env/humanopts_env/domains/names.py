@@ -8,7 +8,7 @@ import sys
 DOMAINS = 'humanopts.domains'
 GYMNASIUM = 'gymnasium:'  # prefix of the id of a Gymnasium environment
 ROBOT = 'ros:'  # prefix of the file of a robot's world
-PACKAGES = {'MiniGrid-': 'minigrid', 'BabyAI-': 'minigrid'}  # that register ids, by their start
+PACKAGES = {'MiniGrid-': 'minigrid', 'BabyAI-': 'minigrid'}  # package by prefix of its ids
 
 
 def domain_names() -> list[str]:
@@ -27,7 +27,7 @@ def is_robot(name: str) -> bool:
 
 
 def robot_file(name: str) -> tuple[Path, str]:
-    """Return the absolute path of a robot's file, and its class; empty: it is a world file."""
+    """Return the absolute path of a robot's file, and its class; empty for a world file."""
     path, colon, kind = name.removeprefix(ROBOT).rpartition(':')
     if not colon or not path.endswith('.py'):
         path, kind = name.removeprefix(ROBOT), ''
@@ -35,7 +35,7 @@ def robot_file(name: str) -> tuple[Path, str]:
 
 
 def package_of(env_id: str) -> str:
-    """Return the module to import before an environment can be made; empty: none."""
+    """Return the module to import before an environment can be made; empty if none."""
     module, colon, _ = env_id.partition(':')
     return (
         module if colon else next((p for key, p in PACKAGES.items() if env_id.startswith(key)), '')
@@ -43,7 +43,7 @@ def package_of(env_id: str) -> str:
 
 
 def modules_of(name: str) -> list[str]:
-    """Return modules that a domain needs, slow to import: of robots, Gymnasium environments."""
+    """Return the modules of a robot or Gymnasium environment that are slow to import."""
     if is_robot(name):
         return ['humanopts_env.ros.world_node']
     if not name.startswith(GYMNASIUM):
@@ -53,7 +53,7 @@ def modules_of(name: str) -> list[str]:
 
 
 def registered(group: str) -> EntryPoints:
-    """Return the entry points of a group; packages are searched once per search path."""
+    """Return the entry points of a group, cached for each search path."""
     return _registered(group, tuple(sys.path))
 
 

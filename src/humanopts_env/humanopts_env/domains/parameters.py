@@ -1,7 +1,7 @@
 """
 User-provided domain parameters: parsing from text, and checking of types.
 
-Types are declared by the constructor: by its annotations, otherwise by its defaults.
+Types are those of the constructor's annotations, or else of its defaults.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,14 +25,14 @@ def parameter_from_text(text: str) -> Any:
 
     JSON and Python's True, False and None are values; everything else is text.
 
-    :raises DomainError: it is JSON that exceeds the limits of ``humanopts_ros.limits``.
+    :raises DomainError: the text is JSON that exceeds the limits of ``humanopts_ros.limits``.
     """
     if text in _PYTHON:
         return _PYTHON[text]
     try:
         json.loads(text)
     except RecursionError:
-        pass  # the limits refuse it
+        pass  # refused below
     except json.JSONDecodeError:
         return text
     except ValueError:
@@ -54,7 +54,8 @@ def check_parameters(
 
     :param name: name of the domain.
     :param usual: values that replace the constructor's defaults.
-    :raises DomainError: a parameter is unknown or has the wrong type; the text says what is valid.
+    :raises DomainError: a parameter is unknown or has the wrong type; the message names the valid
+        ones.
     """
     try:
         parameters = inspect.signature(constructor).parameters
@@ -94,7 +95,7 @@ def _check_json(name: str, key: str, value: Any) -> None:
 
 
 def _check_type(name: str, key: str, value: Any, types: Sequence[Any]) -> None:
-    """Refuse a value that does not have the first JSON type among some types."""
+    """Refuse a value that does not match the first of ``types`` that is a JSON type."""
     from pydantic import PydanticUserError, TypeAdapter, ValidationError  # slow to import
 
     for kind in types:
@@ -115,7 +116,7 @@ def parameters_from_json(name: str, parameters: str) -> dict[str, Any]:
     """
     Decode the parameters of a domain from a message.
 
-    :raises DomainError: they are not a JSON object.
+    :raises DomainError: the parameters are not a JSON object.
     """
     try:
         values = parse_json(parameters or '{}', MAX_PARAMETERS)

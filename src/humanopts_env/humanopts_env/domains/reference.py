@@ -23,7 +23,7 @@ class ReferenceOption(Hashable, Protocol):
 
     @property
     def name(self) -> str:
-        """The name for people, lower case."""
+        """The name shown to people, in lower case."""
 
     @property
     def features(self) -> tuple[str, ...]:
@@ -37,7 +37,7 @@ class ReferenceOption(Hashable, Protocol):
         """Return whether the state is in the initiation set."""
 
     def ends(self, state: Any) -> bool:
-        """Return whether the termination condition holds; False where the task is over before."""
+        """Return whether the termination condition holds; False if the task is over before."""
 
     def optimal_actions(self, state: Any) -> tuple[int, ...]:
         """
@@ -49,22 +49,22 @@ class ReferenceOption(Hashable, Protocol):
 
 @runtime_checkable
 class StartDependent(Protocol):
-    """A ``ReferenceOption`` with an end that depends on where a run begins."""
+    """A ``ReferenceOption`` with an end that depends on the start of the run."""
 
     def begun(self, state: Any) -> ReferenceOption:
-        """Return the option as it is meant in a run from a state."""
+        """Return the option for a run that starts in a state."""
 
 
 @runtime_checkable
 class KnowsGoal(Protocol):
-    """A ``ReferenceOption`` that also ends elsewhere than at its goal."""
+    """A ``ReferenceOption`` that can also end without reaching its goal."""
 
     def reached(self, state: Any) -> bool:
-        """Return whether it ends in a state, as meant."""
+        """Return whether the option ends at its goal in a state."""
 
 
 def reached(option: ReferenceOption, state: Any) -> bool:
-    """Return whether a reference option ends in a state, as meant."""
+    """Return whether a reference option ends at its goal in a state."""
     return option.reached(state) if isinstance(option, KnowsGoal) else option.ends(state)
 
 
@@ -78,7 +78,7 @@ class Judgement:
 
 
 class JudgedOption(ABC):
-    """A ``ReferenceOption`` that evaluates many states at once, and a single one as a batch."""
+    """A ``ReferenceOption`` that evaluates many states at once; one state is a batch of one."""
 
     @abstractmethod
     def judge_states(self, states: Sequence[Any]) -> Judgement:
@@ -148,7 +148,7 @@ class TabularReferenceOption(JudgedOption):
 
     @cached_property
     def goal(self) -> Flags:
-        """(S,): the ends to which shortest paths lead, not those into which chance may push."""
+        """(S,): the ends of shortest paths, without ends that are reached only by chance."""
         found = np.zeros(len(self.distance), dtype=np.bool_)
         found[self.domain.transitions().successor[:, :, 0][self.optimal]] = True
         return found & self.termination & (self.distance < 0)
@@ -163,10 +163,10 @@ class TabularReferenceOption(JudgedOption):
 
 @dataclass(frozen=True)
 class Rule:
-    """What an option does, in terms of an environment and its newest observation."""
+    """An option defined by functions of an environment and its newest observation."""
 
     name: str
     definition: str
-    features: tuple[str, ...]  # those that the environment has are relevant
-    best: Callable[[Any, Any], Sequence[int]]  # actions, the usual one first; none: cannot start
-    done: Callable[[Any, Any], bool]  # whether its end is reached
+    features: tuple[str, ...]  # relevant features, if the environment has them
+    best: Callable[[Any, Any], Sequence[int]]  # actions, the usual one first; empty: cannot start
+    done: Callable[[Any, Any], bool]  # whether the end is reached

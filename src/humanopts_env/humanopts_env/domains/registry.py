@@ -32,10 +32,10 @@ def make_domain(
     """
     Build a registered domain, or the domain of a Gymnasium environment: ``gymnasium:ENV_ID``.
 
-    Domains of other packages are checked by ``check_domain``, and replayed ones by a replay.
+    Domains of other packages are checked by ``check_domain``, and replayed domains by a replay.
 
-    :param parameters: keyword arguments of the domain; default if missing.
-    :param checked: another process has checked the domain.
+    :param parameters: keyword arguments of the domain; None: the defaults.
+    :param checked: whether another process has checked the domain.
     :raises DomainError: the domain is unknown, refuses the parameters or their types, cannot be
         loaded, or breaks the contract of domains.
     """
@@ -53,9 +53,9 @@ def make_domain(
 
 def open_domain(name: str, parameters: Mapping[str, Parameter]) -> ActableDomain:
     """
-    Build the domain of a launch, which may be a robot: ``ros:FILE.yaml``.
+    Build the domain of a launch, which may be that of a robot: ``ros:FILE.yaml``.
 
-    :raises DomainError: as of ``make_domain``, or the world of the robot cannot be used.
+    :raises DomainError: as in ``make_domain``, or the world of the robot cannot be used.
     """
     if not is_robot(name):
         return make_domain(name, parameters)
@@ -71,7 +71,7 @@ def domain_from_json(name: str, parameters: str, *, checked: bool = False) -> Do
     Build a domain from its name and the JSON object of its parameters, as in messages.
 
     :param checked: see ``make_domain``.
-    :raises DomainError: see ``make_domain``; or the parameters are not a JSON object.
+    :raises DomainError: as in ``make_domain``, or the parameters are not a JSON object.
     """
     return make_domain(name, parameters_from_json(name, parameters), checked=checked)
 
@@ -97,7 +97,7 @@ def reference_options(domain: Domain) -> dict[str, ReferenceOption]:
     """
     Return the domain's reference options by name; empty if it has none.
 
-    :raises DomainError: they cannot be loaded or created.
+    :raises DomainError: the options cannot be loaded or created.
     """
     point = _entry_point(REFERENCE_OPTIONS, domain.name)
     if point is None and domain.name.startswith(GYMNASIUM):
@@ -112,8 +112,7 @@ def _factory(name: str) -> tuple[Callable[..., Any], bool]:
     """Return the factory of a domain, and whether it is built in and needs no check."""
     if is_robot(name):
         raise NeedsRulesError(
-            f'{name} is a robot, which can only be acted in; this needs a domain that can be '
-            'simulated'
+            f'{name} is a robot; this operation needs a domain that can be simulated'
         )
     if name.startswith(GYMNASIUM):
         with _explained(f'{name} needs the package gymnasium'):  # slow to import
@@ -123,7 +122,7 @@ def _factory(name: str) -> tuple[Callable[..., Any], bool]:
     point = _entry_point(DOMAINS, name)
     if point is None:
         known = ', '.join([*domain_names(), f'{GYMNASIUM}ENV_ID', f'{ROBOT}FILE.yaml'])
-        raise DomainError(f'no domain {name!r}; there is {known}')
+        raise DomainError(f'unknown domain {name!r}; choose from {known}')
     return _load(point), point.value.startswith(OURS)
 
 
@@ -144,7 +143,7 @@ def _load(point: EntryPoint) -> Callable[..., Any]:
 
 @contextmanager
 def _explained(failed: str) -> Iterator[None]:
-    """Convert all errors of a plug-in to a ``DomainError`` that says what failed."""
+    """Convert all errors of a plug-in to a ``DomainError`` that names the failed operation."""
     try:
         yield
     except DomainError:

@@ -1,8 +1,8 @@
 """
 Mutable worlds as domains: a state is a seed and the actions since the reset.
 
-A state is restored by replay: reset with its seed, then repeat its actions. So a world that cannot
-be copied can still be simulated, set to any previous state, and played in parallel.
+A state is restored by replay: the world is reset with the seed and repeats the actions. Thus even
+a world that cannot be copied can be simulated, set to any previous state, and played in parallel.
 """
 
 from abc import ABC, abstractmethod
@@ -23,14 +23,14 @@ from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
 
-SIGNS = string.digits + string.ascii_letters  # one per action in a text
-SIGN_OF = SIGNS.encode().ljust(256)  # tables of ``bytes.translate``: runs have many actions
+SIGNS = string.digits + string.ascii_letters  # one character per action in a text
+SIGN_OF = SIGNS.encode().ljust(256)  # tables of ``bytes.translate``, for speed
 ACTION_OF = bytes.maketrans(SIGNS.encode(), bytes(range(len(SIGNS))))
-MAX_WORLDS = 256  # kept at the same time; those of games side by side are extra
-MAX_WALK, GAP = 200, 10  # actions before a sampled state; states of a walk per sampled one
+MAX_WORLDS = 256  # worlds kept at the same time, beside those of parallel games
+MAX_WALK, GAP = 200, 10  # actions before a sampled state; states of a walk per sample
 SEEDS = 10**9
-REPLAYED, ENOUGH = 20, 0.1  # steps of an episode that is repeated as a check, or seconds
-MAX_SECONDS, SLACK = 0.5, 2.0  # of one step, since a replay takes many; in addition to some steps
+REPLAYED, ENOUGH = 20, 0.1  # maximum steps and seconds of a repeated episode
+MAX_SECONDS, SLACK = 0.5, 2.0  # s per step, since a replay takes many; s added to the limit
 STATE = re.compile(r'seed (0|[1-9][0-9]{0,19}) actions (-|[0-9a-zA-Z]+)')
 
 
@@ -38,18 +38,18 @@ class World(Protocol):
     """A mutable world; the seed of its reset determines all random draws."""
 
     def reset(self, seed: int) -> None:
-        """Start an episode, with no traces of the previous one."""
+        """Start an episode that does not depend on the previous one."""
 
     def step(self, action: int) -> tuple[float, bool]:
         """Take one primitive action; return the reward and whether the task is over."""
 
     def features(self) -> Sequence[float]:
-        """Return the current value of every feature, see ``Feature``."""
+        """Return the current value of every feature; see ``Feature``."""
 
 
 @runtime_checkable
 class DrawnWorld(World, Protocol):
-    """A world that can be drawn, without a window and without changing it."""
+    """A world that can be drawn without opening a window or changing the world."""
 
     def picture(self) -> Any:
         """Return an image, (H, W, 3) uint8, a text drawing, or None."""
@@ -72,8 +72,8 @@ class ReplayedDomain(Domain[History], ABC):
     A subclass sets the attributes of ``Domain`` and implements ``make_world``. The seed and the
     actions of a state determine the future, so only ``reset`` draws random numbers, not ``step``.
 
-    Worlds are kept in their states, so that continuing takes one step; other states are replayed.
-    Many games side by side step their worlds without keeping a state for each step.
+    Recent worlds are kept, so that continuing from their states takes one step; other states are
+    replayed. Parallel games step their worlds without keeping a state for each step.
     """
 
     @abstractmethod
@@ -121,17 +121,17 @@ class ReplayedDomain(Domain[History], ABC):
         return self._take(seed, actions[:-1], actions[-1]).state if actions else self._begin(seed)
 
     def world(self, state: History) -> World:
-        """Return a world in a state, to look at only: it must not be stepped or reset."""
+        """Return a world in a state, for reading only: it must not be stepped or reset."""
         key = state.seed, state.actions
         if key not in self._worlds:
-            self.decode(self.encode(state))  # replays it
+            self.decode(self.encode(state))  # replays the state
         return self._worlds[key][0]
 
     def picture(self, state: History) -> Image | str | None:
         """
-        Return the picture that the world draws of a state; None: it draws none.
+        Return the picture that the world draws of a state; None if it draws none.
 
-        :raises DomainError: what it draws is neither a text nor an image.
+        :raises DomainError: the picture is neither a text nor an image.
         """
         world = self.world(state)
         drawn = world.picture() if isinstance(world, DrawnWorld) else None
@@ -143,7 +143,7 @@ class ReplayedDomain(Domain[History], ABC):
         return image
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[History]:
-        """Draw states of random walks, about one in GAP states of each walk, never over."""
+        """Draw states that are not over from random walks, about one in GAP of each walk."""
         found: list[History] = []
         while len(found) < count:
             seed = int(rng.integers(SEEDS))
@@ -167,7 +167,7 @@ class ReplayedDomain(Domain[History], ABC):
         """
         Check that seed and actions determine an episode: repeat it later, and in another world.
 
-        :raises DomainError: something differs, or steps are slow.
+        :raises DomainError: the repeated episodes differ, or steps are slow.
         """
         names = ['the reward', 'the end', *(feature.name for feature in self.features)]
         actions = generator(0, 'replay').integers(len(self.actions), size=REPLAYED).tolist()
@@ -248,7 +248,7 @@ class ReplayedDomain(Domain[History], ABC):
 
 
 class ReplayedGames:
-    """Games in worlds; the world of a game is restored when the game takes its next step."""
+    """Games in mutable worlds; the world of a game is restored when its next step is taken."""
 
     def __init__(self, domain: ReplayedDomain, states: Sequence[History]) -> None:
         """Start in given states."""
@@ -295,7 +295,7 @@ class ReplayedGames:
     def take(self, games: Ints) -> 'ReplayedGames':
         states = self.states()
         taken = ReplayedGames(self.domain, [states[game] for game in games.tolist()])
-        for place, game in enumerate(games.tolist()):  # the copy goes on, rather than the original
+        for place, game in enumerate(games.tolist()):  # the copy takes over the world
             taken._worlds[place], self._worlds[game] = self._worlds[game], None
         return taken
 
@@ -311,7 +311,7 @@ class ReplayedGames:
         return {}
 
     def _release(self, game: int) -> None:
-        """Return a game's world, which other games may use."""
+        """Release a game's world, so that other games can use it."""
         world, self._worlds[game] = self._worlds[game], None
         if world is not None:
             self.domain._spare.append(world)
@@ -325,7 +325,7 @@ def check_pace(name: str, began: float, steps: int) -> None:
     """
     Check the time of some steps; the first may take longer.
 
-    :raises DomainError: they are slow.
+    :raises DomainError: the steps are slow.
     """
     seconds = time.perf_counter() - began
     if seconds > SLACK + MAX_SECONDS * steps:

@@ -80,7 +80,7 @@ class Rooms(TableDomain[RoomsState]):
     The four-room gridworld: 104 cells, four doorways ("hallways" in the paper).
 
     A move goes in the intended direction with probability 2/3 and in each other direction with
-    1/9; moves into walls have no effect. Entering the goal has reward 1 and ends the task, all
+    1/9; moves into walls have no effect. Entering the goal has reward 1 and ends the task; all
     other rewards are 0. Episodes start in any other cell.
     """
 

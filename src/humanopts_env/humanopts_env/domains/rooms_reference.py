@@ -2,7 +2,7 @@
 The eight hallway options of Rooms as reference options.
 
 Sutton, Precup and Singh (1999), section 3: from anywhere in a room, or from its other doorway, an
-option walks to one of the room's two doorways, and ends wherever it has left the room.
+option walks to one of the room's two doorways, and ends as soon as it has left the room.
 """
 
 from humanopts_env.arrays import Flags

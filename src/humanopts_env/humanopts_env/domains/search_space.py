@@ -29,7 +29,7 @@ class SearchSpace:
     cell: Ints  # (S,) 0..K-1
     cell_names: tuple[str, ...]
     status: Ints  # (S,) a change of the status is an event
-    events: tuple[str, ...]  # name of the event that leads to each status; none: no events
+    events: tuple[str, ...]  # name of the event that leads to each status; empty: no events
     situation: Ints  # (S,) 0..M-1
     rows: Rows  # (S, F) the domain's features; only ``columns`` are meaningful
     columns: tuple[int, ...]  # indices of the features available to the options

@@ -46,7 +46,7 @@ class SharedTables(EnumerableDomain[S], ABC):
     @property
     @abstractmethod
     def _open(self) -> Ints:
-        """Indices of the states reachable in an episode, never over."""
+        """Indices of the states that are reachable in an episode and not over."""
 
     def feature_values(self, state: S) -> Floats:
         values: Floats = self.feature_table()[self.index(state)]
@@ -78,7 +78,7 @@ class SharedTables(EnumerableDomain[S], ABC):
         return self.index(successor) in table.successor[number, action][possible]
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
-        """Draw states uniformly from those reachable in an episode, never over."""
+        """Draw states uniformly from those that are reachable in an episode and not over."""
         return [self.state_at(int(number)) for number in rng.choice(self._open, count)]
 
     @cached_property
@@ -88,7 +88,7 @@ class SharedTables(EnumerableDomain[S], ABC):
 
 class TableDomain(SharedTables[S]):
     """
-    An ``EnumerableDomain`` of up to some 100,000 states.
+    An ``EnumerableDomain`` with up to about 100,000 states.
 
     A subclass sets the attributes of ``Domain``, passes its states to ``__init__`` and implements
     the abstract methods; all tables are built from these on first use.
@@ -118,7 +118,7 @@ class TableDomain(SharedTables[S]):
 
     @abstractmethod
     def is_over(self, state: S) -> bool:
-        """Return whether the task is over in ``state``, so that no step can be taken."""
+        """Return whether the task is over in ``state``."""
 
     @abstractmethod
     def can_begin(self, state: S) -> bool:
@@ -126,7 +126,7 @@ class TableDomain(SharedTables[S]):
 
     @abstractmethod
     def values_of(self, state: S) -> Sequence[float]:
-        """Return the value of every feature, see ``Feature``."""
+        """Return the value of every feature; see ``Feature``."""
 
     @property
     def n_states(self) -> int:

@@ -80,7 +80,7 @@ def best_paths(
     transitions: Transitions, goal: Flags, allowed: Flags, gamma: float
 ) -> tuple[Floats, Flags]:
     """
-    Find the best paths to a goal, stochastic or not, by value iteration until nothing changes.
+    Find the best paths to a goal, with or without chance, by value iteration to convergence.
 
     :param goal: (S, A, B), the outcomes that reach the goal.
     :param allowed: (S,), the states that a path may visit between its first and its last step.
@@ -100,7 +100,7 @@ def best_paths(
     each, best = np.empty(leads_to.shape), np.empty(n_states)
     ahead = np.empty(each.shape[1:]) if chance else each[0]
     while True:
-        worth.take(leads_to, out=each, mode='clip')  # 'raise' would copy
+        worth.take(leads_to, out=each, mode='clip')  # mode 'raise' would copy
         if chance:
             np.multiply(each, probability, out=each)
             each.sum(axis=0, out=ahead)
@@ -111,7 +111,7 @@ def best_paths(
         value[:] = best
 
 
-ROUNDING = 1e-9  # largest deviation of the sum of an action's probabilities from 1
+ROUNDING = 1e-9  # tolerance for the sum of an action's probabilities
 
 
 def outcome_limits(transitions: Transitions) -> Floats:
@@ -130,7 +130,7 @@ def draw_outcomes(limits: Floats, state: Any, action: Any, number: Any) -> Ints:
     Return the indices of the outcomes, 0..B-1, selected by uniform numbers.
 
     :param limits: result of ``outcome_limits``.
-    :param state: index or indices (N,), as ``action``.
+    :param state: index or indices (N,) of states, as in ``action``.
     :param number: uniform number or numbers (N,) in [0, 1).
     """
     chosen: Ints = (limits[state, action] <= np.asarray(number)[..., None]).sum(-1)
@@ -138,7 +138,7 @@ def draw_outcomes(limits: Floats, state: Any, action: Any, number: Any) -> Ints:
 
 
 class TabularSimulator:
-    """Take steps in many games at once with exact transitions."""
+    """Takes steps in many games at once with exact transitions."""
 
     def __init__(self, transitions: Transitions, over: Flags) -> None:
         """
@@ -157,7 +157,7 @@ class TabularSimulator:
         return self._limits is None
 
     def draw(self, rng: np.random.Generator, count: int) -> Floats | None:
-        """Draw uniform numbers for the outcomes of N steps; None: deterministic."""
+        """Draw uniform numbers for the outcomes of N steps; None if deterministic."""
         return None if self._limits is None else rng.random(count)
 
     def step(self, state: Ints, action: Ints, drawn: Floats | None) -> tuple[Ints, Floats, Flags]:

@@ -2,7 +2,7 @@
 The Taxi options of the paper as reference options.
 
 Subramanian, Isbell and Thomaz (2011), table 1. Each option follows shortest paths from its
-initiation set to its goal, and ends wherever it has left that set. States in which the task is
+initiation set to its goal, and ends as soon as it has left that set. States in which the task is
 over are not in any initiation set.
 """
 
@@ -21,7 +21,7 @@ Taxi = EnumerableDomain[TaxiState]
 def reference_options(
     domain: Taxi, names: Container[str] | None = None
 ) -> dict[str, TabularReferenceOption]:
-    """Return the Taxi options of the paper's table 1 by name; ``names``: only these options."""
+    """Return the Taxi options of the paper's table 1 by name, or only those in ``names``."""
     transitions = domain.transitions()
     successor = transitions.successor[:, :, 0]
     reward, delivers = transitions.reward[:, :, 0], transitions.terminated[:, :, 0]
@@ -47,7 +47,7 @@ def reference_options(
         """
         Add an option with the shortest paths to its goal within its initiation set.
 
-        :param initiation: (S,); states that are over or not reachable are removed.
+        :param initiation: (S,) initiation set; states that are over or unreachable are removed.
         :param goal: (S, A), the transitions that reach its goal.
         :param ends_episode: whether one of these transitions can end the episode.
         """

@@ -1,4 +1,4 @@
-"""How a robot acts: velocities, ROS actions, services and topics, and how each is stopped."""
+"""The actuators of a robot: velocities, ROS actions, services and topics."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -15,56 +15,56 @@ from humanopts_ros.waiting import drive
 from rclpy.action.client import ActionClient
 from rclpy.client import Client
 
-_SHOWN = 4  # fields of feedback that are shown
-_CLEARING = 5.0  # s to wait for an action server at the start, and for its answer
+_SHOWN = 4  # maximum number of feedback fields shown
+_CLEARING = 5.0  # s to wait for an action server at startup, and for its response
 
 
 class Report:
     """
-    What an actuator reports of one action.
+    The report of an actuator on one action.
 
-    :ivar text: its progress or its end, in words; empty: nothing is known.
+    :ivar text: progress or result of the action, in words; empty: unknown.
     """
 
     def __init__(self, on_end: Callable[['Report', bool], object]) -> None:
         """
-        Know nothing yet.
+        Start without a text.
 
-        :param on_end: called with this report when the action has ended, and whether it went well.
+        :param on_end: callback for the end of the action, with this report and its success.
         """
         self._on_end, self.text = on_end, ''
 
     def ended(self, text: str, *, well: bool) -> None:
-        """Note that it has ended, with a text that says how."""
+        """Record the end of the action, with a text about the result."""
         self.text = text
         self._on_end(self, well)
 
 
 class Actuator:
     """
-    Carries out one action of a world; this one does nothing.
+    Carries out one action of a world; this base class does nothing.
 
-    :ivar clearing: what is awaited before it can begin; empty: nothing.
+    :ivar clearing: event that is awaited before the action can begin; empty if none.
     """
 
     clearing = ''
 
     def start(self, report: Report) -> None:
         """
-        Begin.
+        Begin the action.
 
-        :raises DomainError: it cannot begin; the text says why.
+        :raises DomainError: the action cannot begin.
         """
 
     def repeat(self) -> None:
-        """Do what is due about 20 times a second while it lasts."""
+        """Do periodic work, about 20 times a second while the action lasts."""
 
     def stop(self) -> None:
-        """Cancel what was begun, and report nothing more."""
+        """Cancel the action, and report nothing more."""
 
 
 class Drive(Actuator):
-    """Sends a velocity while it lasts."""
+    """Sends a velocity while the action lasts."""
 
     def __init__(self, send: Callable[[Any, Any], None], spec: ActionSpec) -> None:
         assert spec.twist is not None
@@ -86,7 +86,7 @@ class Velocities:
         self._publisher = node.create_publisher(self._kind, self._spec.topic, 1)
 
     def send(self, linear: Any = (0.0, 0.0, 0.0), angular: Any = (0.0, 0.0, 0.0)) -> None:
-        """Publish a velocity; by default, to stand still."""
+        """Publish a velocity; by default 0, which stops the robot."""
         message = self._kind()
         twist = getattr(message, 'twist', message)
         for vector, values in ((twist.linear, linear), (twist.angular, angular)):
@@ -148,7 +148,7 @@ class Act(Actuator):
         drive(self._clear(node, cancel))
 
     async def _clear(self, node: NodeBase, cancel: Client) -> None:
-        """Cancel all goals as soon as the server is found: a killed world may have sent them."""
+        """Cancel all goals, which a killed world may have sent, once the server is found."""
         found = await node.waiting.until(cancel.service_is_ready, _CLEARING)
         if found and self._report is None:
             self.clearing = f'{self._name} to cancel its goals'

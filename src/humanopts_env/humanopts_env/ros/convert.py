@@ -47,9 +47,9 @@ def domain_to_info(domain: ActableDomain) -> DomainInfo:
 
 def domain_from_info(info: DomainInfo) -> ActableDomain:
     """
-    Build the domain published by the node game: with its rules, if it is registered here.
+    Build the domain published by the node game, with its rules if it is registered here.
 
-    :raises DomainError: its rules differ from those here, or the description is invalid.
+    :raises DomainError: its rules differ from those installed here, or its description is invalid.
     """
     if not is_registered(info.domain):
         return described_domain(info)

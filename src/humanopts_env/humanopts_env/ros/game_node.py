@@ -30,7 +30,7 @@ class GameNode(LockStepNode):
             raise StartError(str(error)) from error
 
 
-main = partial(run_node, GameNode, by_events=True)  # every step waits for its answer
+main = partial(run_node, GameNode, by_events=True)  # for a high step rate
 
 if __name__ == '__main__':
     sys.exit(main())

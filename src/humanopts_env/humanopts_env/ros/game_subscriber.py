@@ -36,30 +36,30 @@ class Observed:
     publisher_id: str  # of the game; changes when the game is restarted
     transition: Transition
     state: Any  # decoded; None before the first episode
-    stamp: tuple[int, int]  # s and ns, when it was published
+    stamp: tuple[int, int]  # time of publication, s and ns
 
 
 class GameSubscriber:
     """
     The game in a node's namespace, identified by its announcement.
 
-    A message is refused if it comes from another publisher, announces another game than the known
+    A message is refused if it comes from another publisher, announces a game other than the known
     one, or breaks the rules of the game.
 
-    :ivar domain: the rules; None: the game is not announced yet.
-    :ivar game: the publisher id of the game.
+    :ivar domain: domain of the game; None if not announced yet.
+    :ivar game: identity of the game.
     """
 
     def __init__(self, node: NodeBase, on_domain: Callable[[ActableDomain], object]) -> None:
         """
         Subscribe to ``domain_info``.
 
-        :param on_domain: called once, with the rules.
+        :param on_domain: callback for the domain, called once.
         """
         self.domain: ActableDomain | None = None
         self.game = GameIdentity(node)
         self._node, self._on_domain = node, on_domain
-        self._early: dict[str, Callable[[], object]] = {}  # uses the newest message, by topic
+        self._early: dict[str, Callable[[], object]] = {}  # use of the newest message, by topic
         self._domain_info = self.subscribe(
             DomainInfo, 'domain_info', self._read_domain, self._use_domain, CURRENT
         )
@@ -86,7 +86,7 @@ class GameSubscriber:
         """
         Subscribe to the states of the game on a topic.
 
-        :param use: called with each state; of the states before the rules, with the last one.
+        :param use: callback for each state; before the domain is known, only the last is kept.
         """
 
         def read(message: GameState) -> Observed | None:
@@ -103,14 +103,14 @@ class GameSubscriber:
         return self.subscribe(GameState, topic, read, use, qos)
 
     def newest(self) -> PolledValue[GameState, Observed]:
-        """Return the newest state for polling, readable once the rules are known."""
+        """Return the newest state for polling; it can be read once the domain is known."""
         return PolledValue(self._node, GameState, 'current_state', self.observe)
 
     def observe(self, message: GameState) -> Observed:
         """
         Check a state of the game.
 
-        :raises ValueError: it cannot be used.
+        :raises ValueError: the state is invalid.
         """
         self._check_sender(message)
         assert self.domain is not None, 'states are read once the rules are known'
@@ -141,14 +141,14 @@ class GameSubscriber:
 
     @property
     def name(self) -> str:
-        """Name of the game's node without its namespace; empty: not found yet."""
+        """Name of the game's node without its namespace; empty if not found yet."""
         return signer(self.game.publisher_id).rpartition('/')[2]
 
     def _check_sender(self, message: Any) -> None:
         """
         Check that a message comes from the game.
 
-        :raises ValueError: it comes from another publisher.
+        :raises ValueError: the message comes from another publisher.
         """
         if not self.game.accepts(message.publisher_id):
             game = self.game.publisher_id
@@ -178,7 +178,7 @@ class GameSubscriber:
         self.domain = domain
         if not can_simulate(domain):
             self._node.get_logger().info(
-                f'{domain.name} is not installed here, so it can only be acted in'
+                f'{domain.name} is not installed here, so it cannot be simulated'
             )
         self._on_domain(domain)
         for use_early in self._early.values():

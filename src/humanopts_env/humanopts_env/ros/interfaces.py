@@ -1,4 +1,4 @@
-"""Message, service and action types by name, and messages from the values of a file."""
+"""Message, service and action types by name, and messages built from the values of a file."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -12,7 +12,7 @@ def interface(name: str) -> Any:
     """
     Return the class of a type such as ``nav_msgs/msg/Odometry``.
 
-    :raises WorldFileError: it is not installed.
+    :raises WorldFileError: the type is not installed.
     """
     package, kind, short = name.split('/')
     try:
@@ -27,9 +27,9 @@ def filled(message: Any, values: Mapping[str, Any], places: Mapping[str, Place],
     """
     Set fields of a message, and return it.
 
-    :param values: by field; a mapping sets the fields of a message inside, the name of a place a
-        pose.
-    :param key: where the values are in the file.
+    :param values: values by field; a mapping sets the fields of a nested message, and the name of
+        a place sets a pose.
+    :param key: location of the values in the file.
     :raises WorldFileError: the type has no such field, or a value does not fit.
     """
     types = message.get_fields_and_field_types()

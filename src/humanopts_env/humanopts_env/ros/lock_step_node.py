@@ -1,4 +1,4 @@
-"""The base of ``game`` and ``world``: who acts, how fast, and what is published of it."""
+"""The base class of the nodes ``game`` and ``world``: control, pace and publishing."""
 
 from abc import ABC, abstractmethod
 from collections import deque
@@ -43,21 +43,21 @@ from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_ros.senders import Role
 from rclpy.parameter import Parameter
 
-_LOG_PERIOD = 1.0  # s between lines about episodes
+_LOG_PERIOD = 1.0  # s between log lines about episodes
 _RETRY_PERIOD = 1.0  # s between attempts to publish again
 _LEASE_PERIOD = 0.25  # s between checks of the leases
-_SHOW_PERIOD = 0.02  # s, minimum time between current states while the machine plays
+_SHOW_PERIOD = 0.02  # s between current states while the machine plays
 
 
 class LockStepNode(NodeBase, ABC):
-    """Publish states in lock-step, and answer every command with a state or a refusal."""
+    """Publishes states in lock-step, and answers every command with a state or a refusal."""
 
     role: ClassVar[Role] = 'game'
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self._game = self.make_game()
-        self._seed = 0  # of the first episode
+        self._seed = 0  # seed of the first episode
         period = self.setting(
             'step_period',
             0.0,
@@ -94,7 +94,7 @@ class LockStepNode(NodeBase, ABC):
         self.begin_first_episode()
 
     def begin_first_episode(self) -> None:
-        """Begin an episode, as far as that is possible now, and publish where it is."""
+        """Begin an episode if possible, and publish the state."""
         self._game.reset('', self._seed, Source.MACHINE)
         self.send_transition(self._game.transition)
 
@@ -105,7 +105,7 @@ class LockStepNode(NodeBase, ABC):
     @abstractmethod
     def make_game(self) -> LockStep:
         """
-        Read the parameters of the world, and return it without an episode.
+        Return a game without an episode, according to the node's parameters.
 
         :raises StartError: a parameter is invalid.
         """
@@ -179,7 +179,7 @@ class LockStepNode(NodeBase, ABC):
             response.detail = f'step_period is {request.step_period}, not 0 to {MAX_PERIOD} s'
         elif request.paused and not self._is_present(request.holder_id):
             response.status = response.STATUS_NOT_HOLDER
-            response.detail = f'no node {shown(request.holder_id)!r} is there to have it wait'
+            response.detail = f'no node {shown(request.holder_id)!r} is present to pause the game'
         else:
             response.status = response.STATUS_OK
             paused_by = request.holder_id if request.paused else ''
@@ -188,7 +188,7 @@ class LockStepNode(NodeBase, ABC):
         return response
 
     def _on_step_period(self, period: float) -> None:
-        """Use the pace set as a parameter; a pause continues."""
+        """Apply the period set as a parameter; a pause continues."""
         if period != self._pacing.period:
             self._set_pace(period, self._pacing.paused_by)
 
@@ -214,7 +214,7 @@ class LockStepNode(NodeBase, ABC):
         self._release(self._lease.check(), self._pause_lease.check())
 
     def _release(self, control: str, pause: str) -> None:
-        """Release control and end a pause, each with a reason; empty: unchanged."""
+        """Release control and end a pause, each only if its reason is not empty."""
         held = self._game.control
         if control and (held.holder is Holder.PERSON or held.supervisor_id):
             self.send_control(self._game.release(control))
@@ -222,7 +222,7 @@ class LockStepNode(NodeBase, ABC):
             self._set_pace(self._pacing.period, '')
 
     def send_control(self, control: Control) -> None:
-        """Publish control, and begin the lease of who holds or supervises it."""
+        """Publish control, and begin the lease of its holder or supervisor."""
         responsible = control.holder_id or control.supervisor_id
         if control != self._logged_control:
             self._logged_control = control
@@ -236,11 +236,11 @@ class LockStepNode(NodeBase, ABC):
         self._send(self._control, control_to_message(control, self._pacing))
 
     def send_transition(self, transition: Transition) -> None:
-        """Publish a state; also as the current one, unless the machine plays too fast."""
+        """Publish a state, also as the current one unless the machine plays too fast."""
         if not transition.step and not transition.refreshed:
             self.get_logger().info(
                 f'episode {transition.episode} begins: {shown(transition.state)}',
-                throttle_duration_sec=_LOG_PERIOD,  # a plan may play hundreds a second
+                throttle_duration_sec=_LOG_PERIOD,  # plans may play hundreds of episodes a second
             )
         message = transition_to_message(transition)  # each publisher adds its own sequence
         self._send(self._stream, message)
@@ -283,6 +283,6 @@ class LockStepNode(NodeBase, ABC):
                 self.pause('')
 
     def pause(self, reason: str) -> None:
-        """Refuse commands until the reason is gone; empty: it is."""
+        """Refuse commands for a reason, or accept them again if it is empty."""
         self._game.paused = reason
         self.set_status(NodeStatus.STATE_PAUSED if reason else NodeStatus.STATE_READY, reason)

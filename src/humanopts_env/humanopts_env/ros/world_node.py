@@ -1,4 +1,4 @@
-"""The node ``world``, which makes a robot or simulator on the graph into a world."""
+"""The node ``world``, which turns a robot or simulator on the graph into a world."""
 
 from functools import partial
 import sys
@@ -27,8 +27,8 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 _DRIVE_PERIOD = 0.05  # s between velocities, and between checks while an action lasts
-_WATCH_PERIOD = 0.1  # s between checks while none lasts
-_GRAPH_PERIOD = 1.0  # s between looks for another world
+_WATCH_PERIOD = 0.1  # s between checks while no action lasts
+_GRAPH_PERIOD = 1.0  # s between searches for other worlds
 _CLOCK_SILENCE = 0.4  # s without /clock after which it counts as missing
 _PROGRESS_PERIOD = 0.1  # s between reports of progress
 
@@ -38,7 +38,7 @@ class RosRobot:
 
     def __init__(self, node: 'WorldNode', world: World) -> None:
         """
-        Subscribe to its topics.
+        Subscribe to the world's topics.
 
         :raises WorldFileError: a type is not installed, or lacks a field.
         """
@@ -51,7 +51,7 @@ class RosRobot:
         self._actuators = make_actuators(node, file, self._velocities)
         self._actuator = Actuator()
         self._repeated = 0.0
-        self.report = Report(node.on_ended)  # of the newest action
+        self.report = Report(node.on_ended)  # on the newest action
         self.sensors = Sensors(file.topics)
         for name, topic in file.topics.items():
             qos = CURRENT if topic.latched else SENSOR
@@ -67,11 +67,11 @@ class RosRobot:
 
     @property
     def clearing(self) -> str:
-        """What is awaited before an action can begin; empty: nothing."""
+        """The event that is awaited before an action can begin; empty if none."""
         return next(filter(None, (each.clearing for each in self._actuators.values())), '')
 
     def repeat(self) -> None:
-        """Send the velocity again, if it is time."""
+        """Send the velocity again if it is due."""
         now = self._node.now()
         if now - self._repeated > 0.9 * _DRIVE_PERIOD:
             self._repeated = now
@@ -103,9 +103,9 @@ class WorldNode(LockStepNode):
     """
     The world of a robot.
 
-    It moves nothing by itself. An action ends, and the robot stands, as soon as something is
-    wrong: a stale or invalid sensor, the emergency stop, another world in the namespace, or the
-    end of the process that acts or supervises.
+    The node moves nothing on its own. It ends the action and stops the robot on any fault: a stale
+    or invalid sensor, the emergency stop, another world in the namespace, or the end of the
+    process that acts or supervises.
     """
 
     drives: ClassVar[bool] = True
@@ -116,9 +116,9 @@ class WorldNode(LockStepNode):
         self._progress = self.stamped_publisher(ActionProgress, 'action_progress', LATCHED)
         self._progress_at = 0.0
         self._lively = Liveliness(self, 'node', self._on_lost)
-        self._twins = Liveliness(self, 'game')  # worlds with the name of this one
+        self._twins = Liveliness(self, 'game')  # worlds with the same node name
         self._others: list[str] = []  # publisher ids of other worlds
-        self._rivals: list[str] = []  # nodes world in other namespaces that drive the same robot
+        self._rivals: list[str] = []  # other world nodes that drive the same robot
         self._emergency = False
         safety = self._world.file.safety
         if safety.emergency is not None:
@@ -131,8 +131,8 @@ class WorldNode(LockStepNode):
 
     def make_game(self) -> ActedGame:
         """Return the game of the world file in the parameters."""
-        self._simulated = -1.0  # s, of the newest /clock; below 0: none has arrived
-        self._clock_at = self.monotonic()  # when it arrived
+        self._simulated = -1.0  # s, newest time on /clock; below 0: none has arrived
+        self._clock_at = self.monotonic()  # time of its arrival, s
         path = self.setting('world', '', 'absolute path of a world file, or FILE.py:CLASS')
         try:
             self._world = load_world(f'{ROBOT}{path}')
@@ -158,11 +158,11 @@ class WorldNode(LockStepNode):
         )
 
     def now(self) -> float:
-        """Return the time of sensors and actions, s; with use_sim_time, that of /clock."""
+        """Return the time for sensors and actions, s; from /clock with use_sim_time."""
         return self._simulated if self._by_clock else self.monotonic()
 
     def waits_for(self) -> str | None:
-        """Return what keeps the world from being sensed."""
+        """Describe what the world is waiting for; None if nothing."""
         if self._by_clock and self._simulated < 0:
             return '/clock, because use_sim_time is set'
         for name, topic in self._world.file.topics.items():
@@ -177,19 +177,19 @@ class WorldNode(LockStepNode):
         return f'this to end: {fault}' if fault else None
 
     def on_ready(self) -> None:
-        """Publish the world, where it is, and that it does nothing."""
+        """Publish the domain, the first state, and that no action is under way."""
         self._robot.halt()
         super().on_ready()
         self.report_progress()
 
     def close(self) -> None:
-        """Stand still."""
+        """Stop the robot."""
         if self.ready:
             self._game.cut_short()
         super().close()
 
     def offer(self, command: Command) -> None:
-        """Execute a command or a stop, unless something is wrong."""
+        """Execute a command or a stop, unless there is a fault."""
         self._check()
         if command.action:
             super().offer(command)
@@ -201,7 +201,7 @@ class WorldNode(LockStepNode):
             self.send_control(result)
 
     def on_begun(self, begun: Begun) -> None:
-        """Watch who acts, and end the action in time."""
+        """Watch the process that acts, and start the timer of the action."""
         self._watch(begun.command.publisher_id)
         self.report_progress()
         self._drive.reset()
@@ -209,7 +209,7 @@ class WorldNode(LockStepNode):
             self._game.tick()
 
     def on_ended(self, report: Report, well: bool) -> None:
-        """Handle the end of an action that reports it."""
+        """Handle the end of an action, as reported by its actuator."""
         if report is not self._robot.report:
             return
         if not well:
@@ -217,20 +217,20 @@ class WorldNode(LockStepNode):
         self._game.finish(cut_short=not well)
 
     def send_control(self, control: Control) -> None:
-        """Publish control, and watch who holds or supervises it."""
+        """Publish control, and watch its holder and supervisor."""
         super().send_control(control)
         self._watch('')
 
     def pause(self, reason: str) -> None:
-        """Stand still, and refuse commands until the reason is gone; empty: it is."""
+        """Stop the robot and refuse commands, or accept them again if the reason is empty."""
         self._game.pause(reason)
         super().pause(reason)
         self.report_progress()
         if reason:
-            self.get_logger().warning(f'the robot stands: {reason}')
+            self.get_logger().warning(f'robot stopped: {reason}')
 
     def report_progress(self) -> None:
-        """Publish what is being done."""
+        """Publish the progress of the action under way."""
         under_way = self._game.under_way
         message = ActionProgress(stopped=self._game.paused or self._game.outside)
         if under_way is not None:
@@ -249,7 +249,7 @@ class WorldNode(LockStepNode):
         self._lively.watch(control.holder_id, control.supervisor_id, acting)
 
     def _on_lost(self, publisher_id: str) -> None:
-        """Stand still because a process does not live any more, or does not get to run."""
+        """Stop the robot because a process that acts or supervises has died or is stopped."""
         control, under_way = self._game.control, self._game.under_way
         if publisher_id in (control.holder_id, control.supervisor_id):
             reason = f'{signer(publisher_id)} was not heard for {LEASE:g} s'
@@ -265,7 +265,7 @@ class WorldNode(LockStepNode):
 
     def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.send_control(self._game.lock('the service stop was called'))
-        response.success, response.message = True, 'it stands; take control to go on'
+        response.success, response.message = True, 'stopped; take control to continue'
         return response
 
     def _on_clock(self, message: Clock) -> None:
@@ -275,12 +275,12 @@ class WorldNode(LockStepNode):
             self._tick()
 
     def _tick(self) -> None:
-        """Check the robot, and continue what it does."""
+        """Check the robot, and continue its action."""
         if not self.ready:
             return
         self._check()
         if not self._game.transition.episode and not self._game.paused:
-            self.begin_first_episode()  # the first messages were stale
+            self.begin_first_episode()  # the first messages may have been stale
         if self._game.under_way is not None:
             self._robot.repeat()
         self._game.tick()
@@ -290,7 +290,7 @@ class WorldNode(LockStepNode):
             self.report_progress()
 
     def _check(self) -> None:
-        """Stand still if something is wrong, and continue when it is right again."""
+        """Stop the robot if there is a fault, and resume once it is gone."""
         if not self.ready or any(self._unsent.values()):
             return
         (fault, outside), game = self._faults(), self._game
@@ -300,10 +300,10 @@ class WorldNode(LockStepNode):
             game.restrict(outside)
             self.report_progress()
             if outside:
-                self.get_logger().warning(f'options and plans stand: {outside}')
+                self.get_logger().warning(f'options and plans blocked: {outside}')
 
     def _faults(self) -> tuple[str, str]:
-        """Return why nothing may move, and why only a person may move it; empty: it may."""
+        """Return the reasons to forbid all motion, and to let only a person act; empty if none."""
         if self._by_clock and self.monotonic() - self._clock_at > _CLOCK_SILENCE:
             return 'use_sim_time is set, and no time arrives on /clock', ''
         if self._emergency:
@@ -321,7 +321,7 @@ class WorldNode(LockStepNode):
         """Find other worlds, which would act on the same commands."""
         found = {*announced_ids(self, 'game')} - {self.publisher_id}
         self._twins.watch(*(each for each in found if signer(each) == signer(self.publisher_id)))
-        # A killed world is announced for a while; only its liveliness tells that it has ended.
+        # A killed world stays announced for a while; only its liveliness shows that it has ended.
         self._others = sorted(found - self._twins.lost)
         if (velocity := self._world.file.velocity_topic) is not None:
             drivers = {*publishers_of(self, self.resolve_topic_name(velocity.topic))}
@@ -330,7 +330,7 @@ class WorldNode(LockStepNode):
         self._check()
 
     def _missing(self, topic: Topic) -> str:
-        """Describe a topic that has no message yet."""
+        """Describe the missing message of a topic."""
         name = self.resolve_topic_name(topic.topic)
         publishers = self.get_publishers_info_by_topic(name)
         other = sorted({each.topic_type for each in publishers} - {topic.type})
@@ -347,7 +347,7 @@ class WorldNode(LockStepNode):
         )
 
 
-# Not by_events: the EventsExecutor can crash when a watched node is forgotten in its own callback.
+# Not by_events: the EventsExecutor can crash when a liveliness callback destroys its subscription.
 main = partial(run_node, WorldNode)
 
 if __name__ == '__main__':

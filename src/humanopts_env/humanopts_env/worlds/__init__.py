@@ -1,1 +1,1 @@
-"""Robots and simulators as worlds: what is sensed, what can be done, and what ends an episode."""
+"""Robots and simulators as worlds: their features, actions and ends of episodes."""

@@ -1,4 +1,4 @@
-"""A robot in lock-step: a step is an action that takes time, and that can be stopped."""
+"""A robot in lock-step: a step is an action that takes time and can be stopped."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -28,28 +28,28 @@ from humanopts_env.game import (
 from humanopts_env.worlds.sensors import Sensed
 from humanopts_env.worlds.world import Ending, Timing
 
-CHANGE = 0.01  # share of the range by which a continuous feature has changed
+CHANGE = 0.01  # share of the range that counts as a change of a continuous feature
 _SLACK = 0.002  # s by which a timer may be early
 
 
 class Robot(Protocol):
-    """What acts and senses for an ``ActedGame``."""
+    """The robot of an ``ActedGame``, which acts and senses."""
 
     def start(self, action: str) -> None:
         """
         Begin an action.
 
-        :raises DomainError: it cannot begin; the text says why.
+        :raises DomainError: the action cannot begin.
         """
 
     def halt(self) -> None:
-        """Stand still, and cancel what was begun; it may be called at any time."""
+        """Stop, and cancel the action, if any; may be called at any time."""
 
     def sense(self) -> Sensed:
         """
         Return the features that are sensed now.
 
-        :raises DomainError: they cannot be sensed.
+        :raises DomainError: the features cannot be sensed.
         """
 
     def text(self, features: tuple[float, ...]) -> str:
@@ -71,23 +71,23 @@ class UnderWay:
     """The action that is being carried out."""
 
     command: Command
-    since: float  # s
+    since: float  # start time, s
     cut_short: bool = False
-    done: float | None = None  # time at which it ended and began to settle, s; None: it lasts
+    done: float | None = None  # time of its end and the start of settling, s; None: not ended
 
 
 class ActedGame(LockStep):
     """
     A robot in lock-step.
 
-    An accepted command begins an action; ``tick`` ends it at its deadline, ``finish`` when it
-    reports its end, and a stop, a key of the person or a fault cut it short. Then the state of
-    the next step is published. If it cannot be sensed after a fault, the state is the last one
-    that was sensed.
+    An accepted command begins an action. ``tick`` ends it at its deadline, and ``finish`` when the
+    robot reports its end; a stop, a person's key or a fault cuts it short. Then the state of the
+    next step is published. If it cannot be sensed after a fault, the last sensed state is used.
 
-    :ivar under_way: the action that is carried out; None: none.
-    :ivar supervised: whether machines may move only after a person has enabled them.
-    :ivar outside: which feature is out of its range, so that only a person may act; empty: none.
+    :ivar under_way: the action that is carried out; None if none.
+    :ivar supervised: whether machines may act only after a person has enabled them.
+    :ivar outside: description of a feature out of its range, so that only a person may act;
+        empty if there is none.
     """
 
     def __init__(
@@ -103,9 +103,9 @@ class ActedGame(LockStep):
         """
         Start without an episode.
 
-        :param clock: time, s.
-        :param timings: of each action, by name.
-        :param step: least time between states that are published because the world changed, s.
+        :param clock: function that returns the time, s.
+        :param timings: timing of each action by name.
+        :param step: minimum time between states published because the world changed, s.
         """
         super().__init__(domain)
         self._robot, self._clock, self._timings, self._step = robot, clock, timings, step
@@ -136,9 +136,9 @@ class ActedGame(LockStep):
         """
         Execute a stop, a command without an action.
 
-        A person's stop always ends the action under way; a machine's only its own action.
+        A person's stop always ends the action under way; a machine's stop ends only its own.
 
-        :return: control, if the person took it; the refusal; None: nothing else changed.
+        :return: the new control if the person took it, or the refusal; None if neither.
         """
         machine, under_way = command.source == Source.MACHINE, self.under_way
         if command.source not in (Source.PERSON, Source.MACHINE) or not command.publisher_id:
@@ -153,7 +153,7 @@ class ActedGame(LockStep):
         return None if machine or another else self._claim(command)
 
     def tick(self) -> None:
-        """End an action that has reached its deadline, and publish a world that has changed."""
+        """End an action that has reached its deadline, and publish the state if it has changed."""
         now, under_way = self._clock(), self.under_way
         if under_way is None:
             if now - self._shown_at >= self._step - _SLACK:
@@ -168,9 +168,9 @@ class ActedGame(LockStep):
 
     def finish(self, *, cut_short: bool = False) -> None:
         """
-        Note that the action under way has ended.
+        Record the end of the action under way.
 
-        :param cut_short: it has not done what it should.
+        :param cut_short: whether the action was not completed.
         """
         under_way = self.under_way
         if under_way is None or under_way.done is not None:
@@ -183,32 +183,32 @@ class ActedGame(LockStep):
             self._end(self.under_way)
 
     def cut_short(self) -> None:
-        """Stand still at once; the action under way, if any, is cut short."""
+        """Stop the robot at once; the action under way, if any, is cut short."""
         self._robot.halt()
         if (under_way := self.under_way) is not None:
             lasted = under_way.done is None
             self._end(replace(under_way, cut_short=lasted or under_way.cut_short))
 
     def pause(self, reason: str) -> None:
-        """Refuse commands and stand still until the reason is gone; empty: it is."""
+        """Stop the robot and refuse commands, or accept them again if the reason is empty."""
         if reason and not self.paused:
             self.cut_short()
         self.paused = reason
 
     def restrict(self, outside: str) -> None:
-        """Let only a person act, because a feature is out of its range; empty: none is."""
+        """Let only a person act while a feature is out of its range; empty: none is."""
         under_way, self.outside = self.under_way, outside
         if outside and under_way is not None and under_way.command.source == Source.MACHINE:
             self.cut_short()
 
     def lock(self, reason: str) -> Control:
-        """Stand still until a person takes control."""
+        """Stop the robot until a person takes control."""
         self.cut_short()
         self.control = Control(Holder.LOCKED, '', reason)
         return self.control
 
     def release(self, reason: str) -> Control:
-        """Stand still because the holder or the supervisor has left."""
+        """Stop the robot because the holder or the supervisor has left."""
         if self.supervised:
             return self.lock(reason)
         self.cut_short()
@@ -240,7 +240,7 @@ class ActedGame(LockStep):
     def _begin(self, start_state: str, seed: int) -> tuple[str, tuple[float, ...]]:
         if start_state:
             raise StateError(
-                f'an episode of {self.domain.name} begins where it is: drive it to another start'
+                f'{self.domain.name} can only begin where the robot is: drive it to another start'
             )
         self.cut_short()
         sensed = self._robot.sense()

@@ -1,5 +1,5 @@
 """
-What a robot senses: features from the newest messages of its topics.
+The sensors of a robot: features from the newest messages of its topics.
 
 Messages are read by the names of their fields, so this code needs no ROS.
 """
@@ -22,12 +22,12 @@ from humanopts_env.worlds.world_file import (
 )
 import numpy as np
 
-_STEP = re.compile(r'([A-Za-z_][A-Za-z0-9_]*)((?:\[-?\d+\])*)')  # of a path: name[index]
+_STEP = re.compile(r'([A-Za-z_][A-Za-z0-9_]*)((?:\[-?\d+\])*)')  # step of a path: name[index]
 MAX_FRAMES = 10_000
 
 
 class SensorError(DomainError):
-    """The world cannot be sensed now; the message says which topic or feature, and why."""
+    """The world cannot be sensed now; the message names the topic or feature and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Sensed:
     """
     The features of a world, each within its range.
 
-    :ivar outside: which value was clipped, in a sentence; empty: none.
+    :ivar outside: description of a clipped value; empty if none.
     """
 
     features: tuple[float, ...]
@@ -47,16 +47,16 @@ class _Edge:
     """The newest transform of a frame."""
 
     parent: str
-    transform: Any  # message, of the frame in its parent
-    topic: str  # its name in the file
-    heard: float  # s
+    transform: Any  # message: pose of the frame in its parent
+    topic: str  # name of the topic in the file
+    heard: float  # time of arrival, s
 
 
 class Sensors:
     """
     The newest message of each topic, and the transforms between frames.
 
-    :ivar now: the time of ``note`` and of the last ``check``, s.
+    :ivar now: time of the last ``note`` or ``check``, s.
     """
 
     def __init__(self, topics: Mapping[str, Topic]) -> None:
@@ -67,9 +67,9 @@ class Sensors:
 
     def note(self, name: str, message: Any, now: float) -> None:
         """
-        Keep a message.
+        Store a message.
 
-        :param name: of the topic in the file.
+        :param name: name of the topic in the file.
         :param now: time of its arrival, s.
         """
         self._heard[name], self.now = (message, now), now
@@ -111,9 +111,9 @@ class Sensors:
 
     def transform(self, parent: str, child: str) -> Floats:
         """
-        Return the pose of a frame in another, (4, 4), over any chain of transforms.
+        Return the pose of a frame in another frame, (4, 4), along any chain of transforms.
 
-        :raises SensorError: no chain connects them, or one of its transforms is stale.
+        :raises SensorError: no chain connects the frames, or one of its transforms is stale.
         """
         below = dict(self._upwards(child))
         for frame, pose in self._upwards(parent):
@@ -123,10 +123,10 @@ class Sensors:
         raise SensorError(f'no transforms connect {parent} and {child}')
 
     def _upwards(self, frame: str) -> Iterator[tuple[str, Floats]]:
-        """Yield each ancestor of a frame, with the pose of the frame in it."""
+        """Yield a frame and its ancestors, each with the pose of the frame in it."""
         pose: Floats = np.eye(4)
         yield frame, pose
-        for _ in range(len(self._frames)):  # a circle ends too
+        for _ in range(len(self._frames)):  # also ends in a cycle
             edge = self._frames.get(frame)
             if edge is None:
                 return
@@ -148,8 +148,8 @@ def value_reader(file: WorldFile, path: str, key: str) -> Read:
     """
     Return the reader of a field, such as ``odom.pose.pose.position.x`` or ``arm.position[2]``.
 
-    :param key: where the path is in the file.
-    :raises WorldFileError: it is not a path, or begins with an unknown topic.
+    :param key: location of the path in the file.
+    :raises WorldFileError: the path is invalid, or begins with an unknown topic.
     """
     steps: list[str | int] = []
     for part in path.split('.'):
@@ -179,7 +179,7 @@ def value_reader(file: WorldFile, path: str, key: str) -> Read:
 
 def feature_reader(name: str, spec: FeatureSpec, file: WorldFile) -> Callable[[Sensors], float]:
     """
-    Return the reader of a feature: its value, which a number may have out of its range.
+    Return the reader of a feature's value; a number may be out of its range.
 
     :raises WorldFileError: its source is not in the file.
     """
@@ -204,12 +204,12 @@ def as_feature(name: str, spec: FeatureSpec) -> Feature:
 
 def checked_value(feature: Feature, spec: FeatureSpec, value: Any) -> float:
     """
-    Return a sensed value as that of a feature.
+    Convert a sensed value to a value of a feature.
 
-    A text is one of the feature's values, a truth value or a whole number an index into them. A
-    number may be out of its range.
+    A text must be one of the feature's values; a bool or a whole number is an index into them. The
+    value of a continuous feature may be out of its range.
 
-    :raises SensorError: it is no value of the feature.
+    :raises SensorError: the feature cannot have the value.
     """
     if isinstance(value, str) and not spec.is_number:
         if value not in feature.values:
@@ -250,7 +250,7 @@ def _raw_reader(spec: FeatureSpec, file: WorldFile, key: str) -> Read:
             heading = _pose_reader(file, spec.heading, key)
             return lambda sensors: heading(sensors)[2]
         case 'computed':
-            return lambda sensors: None  # the class of the world gives it
+            return lambda sensors: None  # provided by the class of the world
     own, source = _pose_reader(file, spec.pose, key), spec.source
     target = _target_reader(file, str(getattr(spec, source)), key)
 
@@ -303,7 +303,7 @@ def planar(message: Any) -> Pose:
     """
     Return x, y and yaw of a message that has a pose or a point.
 
-    :raises SensorError: it has neither.
+    :raises SensorError: the message has neither.
     """
     for name in ('pose', 'pose', 'point'):  # Odometry has pose.pose
         message = getattr(message, name, message)
@@ -328,12 +328,11 @@ def scan_minimum(scan: Any, start: float, end: float) -> float:
     """
     Return the smallest range of a ``LaserScan`` in a sector, m.
 
-    A beam without an echo (inf) and one beyond range_max count as range_max; one below range_min
-    counts as range_min.
+    Ranges are clipped to range_min and range_max; a beam without an echo (inf) has range_max.
 
-    :param start: of the sector, rad to the left of straight ahead; the sector runs left to
-        ``end``.
-    :raises SensorError: no beam is in the sector, or one is not a number.
+    :param start: right end of the sector, rad to the left of straight ahead.
+    :param end: left end of the sector, rad.
+    :raises SensorError: no beam is in the sector, or a range is NaN.
     """
     ranges = np.asarray(scan.ranges, dtype=np.float64)
     angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
@@ -342,14 +341,14 @@ def scan_minimum(scan: Any, start: float, end: float) -> float:
     inside = ((angles - start + slack) % math.tau <= width + 2 * slack) | (width >= math.tau)
     if not inside.any():
         raise SensorError('the scan has no beam in its sector')
-    nearest = ranges[inside].min()  # NaN if one is
+    nearest = ranges[inside].min()  # NaN if any range is
     if math.isnan(nearest):
         raise SensorError('a range of the scan is nan')
     return float(min(max(nearest, scan.range_min), scan.range_max))
 
 
 def wrapped(angle: float) -> float:
-    """Return an angle from -pi to pi, rad."""
+    """Return an angle wrapped to -pi to pi, rad."""
     return math.atan2(math.sin(angle), math.cos(angle))
 
 

@@ -1,4 +1,4 @@
-"""A world made of a robot: its domain, its features from messages, rewards and ends."""
+"""A robot as a world: its domain, features from messages, rewards and ends of episodes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,10 +35,10 @@ import numpy as np
 
 class WorldClass(Protocol):
     """
-    A class as ``ros:FILE.py:CLASS``, where a file is not enough; it takes no arguments.
+    A class ``ros:FILE.py:CLASS`` for a world that needs code; its constructor takes no arguments.
 
-    Its world has the keys of a world file; ``computed: True`` marks the features that
-    ``features`` returns. The other two methods may be left out.
+    ``world`` has the keys of a world file; ``computed: True`` marks the features that
+    ``features`` returns. The other two methods are optional.
     """
 
     world: Mapping[str, Any]
@@ -56,16 +56,16 @@ class WorldClass(Protocol):
         """Return the reward of a step, in addition to that in ``world``."""
 
     def success(self, before: Mapping[str, float], after: Mapping[str, float]) -> bool | None:
-        """Return whether the episode ends with success (True) or is cut off; None: neither."""
+        """Return True if the episode ends with success, False if it is cut off, else None."""
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How long an action takes."""
+    """The duration of an action."""
 
-    seconds: float  # until it ends, or at most
+    seconds: float  # duration if ``timed``, else its maximum
     settle: float = 0.0  # s from its end until its effect can be sensed
-    timed: bool = True  # it ends after this time; False: it should have ended before
+    timed: bool = True  # whether it ends after ``seconds``; False: it should end before
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +81,9 @@ class World:
     """
     A robot or simulator as a world.
 
-    :ivar file: the description.
+    :ivar file: the world file.
     :ivar domain: features and actions, for all other nodes.
-    :ivar timings: how long each action takes, by name.
+    :ivar timings: timing of each action by name.
     """
 
     def __init__(self, file: WorldFile, where: str, own: WorldClass | None = None) -> None:
@@ -91,8 +91,8 @@ class World:
         Check that all parts fit together.
 
         :param where: name of the file.
-        :param own: an object of the class of the world.
-        :raises WorldFileError: they do not.
+        :param own: instance of the world's class, if it has one.
+        :raises WorldFileError: the parts do not fit together.
         """
         self.file, self._own = file, own
         self.timings = {
@@ -138,7 +138,7 @@ class World:
         """
         Return the value of each feature, clipped to its range.
 
-        :raises SensorError: one cannot be sensed now, or has no valid value.
+        :raises SensorError: a feature cannot be sensed now, or has no valid value.
         """
         found, outside = [], ''
         computed = self._compute(sensors)
@@ -164,7 +164,7 @@ class World:
         """
         Return the reward of a step, and whether it ends the episode.
 
-        A condition ends the episode when it becomes true: a robot that stands at its goal can be
+        A condition ends the episode only when it becomes true, so that a robot at its goal can be
         driven away.
 
         :raises SensorError: the reward cannot be read.
@@ -195,7 +195,7 @@ class World:
             return {name: found[name] for name in self._computed}
         except SensorError:
             raise
-        except Exception as error:  # any error of another's code
+        except Exception as error:  # in external code
             raise SensorError(
                 f'the features of {type(self._own).__name__} cannot be computed: '
                 f'{type(error).__name__}: {error}'
@@ -206,7 +206,7 @@ def load_world(domain: str) -> World:
     """
     Read a world: ``ros:FILE.yaml`` or ``ros:FILE.py:CLASS``.
 
-    :raises WorldFileError: it cannot be used.
+    :raises WorldFileError: the world cannot be used.
     """
     path, name = robot_file(domain)
     if path.suffix != '.py':
@@ -218,7 +218,7 @@ def load_world(domain: str) -> World:
 
 
 def _made(path: Path, name: str) -> WorldClass:
-    """Import a file, and create an object of its class."""
+    """Import a file, and create an instance of its class."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     try:
         if spec is None or spec.loader is None:
@@ -229,7 +229,7 @@ def _made(path: Path, name: str) -> WorldClass:
         if not inspect.isclass(kind) or not callable(getattr(kind, 'features', None)):
             raise ImportError(f'it has no class {name} with the method features(messages)')
         made: WorldClass = cast(WorldClass, kind())
-    except (Exception, SystemExit) as error:  # any error of another's code
+    except (Exception, SystemExit) as error:  # in external code
         raise WorldFileError(
             f'{path.name} cannot be loaded: {type(error).__name__}: {error}'
         ) from error

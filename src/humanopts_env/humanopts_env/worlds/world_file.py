@@ -1,5 +1,5 @@
 """
-The world file: which topics, places, features and actions make a robot into a world.
+The world file: the topics, places, features and actions that turn a robot into a world.
 
 It is YAML, checked completely before anything moves. The reference is docs/reference/files.md.
 """
@@ -22,11 +22,11 @@ from pydantic import (
     ValidationError,
 )
 
-SOURCES = (  # of a feature
+SOURCES = (
     *('field', 'distance_to', 'bearing_to', 'heading', 'heading_to'),
     *('scan_min', 'age', 'tf', 'computed'),
 )
-WAYS = 'twist', 'action', 'service', 'topic'  # to act
+WAYS = 'twist', 'action', 'service', 'topic'
 TF = 'tf2_msgs/msg/TFMessage'
 _UNITS = {'distance_to': 'm', 'scan_min': 'm', 'age': 's'}
 _ANGLES = 'bearing_to', 'heading', 'heading_to'
@@ -41,7 +41,7 @@ class _Part(BaseModel):
 
 
 def _word(value: Any) -> Any:
-    """Return a value as it is written: YAML reads no, yes and 1 as other types."""
+    """Return a value as text, since YAML reads no, yes and 1 as other types."""
     if isinstance(value, bool):
         return 'yes' if value else 'no'
     return str(value) if isinstance(value, int) else value
@@ -58,12 +58,12 @@ Fields = dict[str, Any]
 
 
 class Topic(_Part):
-    """What the robot publishes."""
+    """A topic that the robot publishes."""
 
     topic: TopicName
     type: MessageType
-    stale: Annotated[float, Field(gt=0)] | None = None  # s; None: a value stays valid
-    latched: bool = False  # published once, for late subscribers too
+    stale: Annotated[float, Field(gt=0)] | None = None  # s; None: values stay valid
+    latched: bool = False  # published once, also for late subscribers
 
 
 class Place(_Part):
@@ -75,14 +75,14 @@ class Place(_Part):
 
 
 class FeatureSpec(_Part):
-    """One feature, and where it is read."""
+    """One feature, and its source."""
 
     question: Annotated[str, Field(min_length=1)]
     kind: Literal['continuous', 'ordinal', 'nominal'] | None = None
     values: tuple[Word, ...] = ()
     unit: str | None = None
     range: tuple[Number, Number] | None = None
-    clip: bool = False  # values out of range are usual: they count as its ends, and machines go on
+    clip: bool = False  # clip values out of range, without pausing machines
     field: str | None = None
     distance_to: str | None = None
     bearing_to: str | None = None
@@ -92,7 +92,7 @@ class FeatureSpec(_Part):
     age: str | None = None
     tf: tuple[str, str] | None = None  # parent and child frame
     computed: Literal[True] | None = None  # by the class of the world
-    pose: str | tuple[str, str] | None = None  # whose distance, bearing or heading
+    pose: str | tuple[str, str] | None = None  # pose to measure from
     sector: tuple[Number, Number] = (-180.0, 180.0)  # degrees, to the left of straight ahead
     part: Literal['x', 'y', 'z', 'roll', 'pitch', 'yaw', 'distance', 'bearing'] = 'x'
 
@@ -115,23 +115,23 @@ class FeatureSpec(_Part):
 
     @property
     def source(self) -> str:
-        """The name of its source, one of SOURCES."""
+        """The source of the feature, one of SOURCES."""
         return _given(self, SOURCES)[0]
 
     @property
     def is_number(self) -> bool:
-        """Whether it is continuous."""
+        """Whether the feature is continuous."""
         return self.kind == 'continuous' or (self.kind is None and not self.values)
 
     @property
     def is_angle(self) -> bool:
-        """Whether it is an angle from -pi to pi."""
+        """Whether the feature is an angle from -pi to pi."""
         of_frames = self.source == 'tf' and self.part in ('roll', 'pitch', 'yaw', 'bearing')
         return self.source in _ANGLES or of_frames
 
     @property
     def limits(self) -> tuple[float, float] | None:
-        """The range of a number; None: it is missing."""
+        """The range of a number; None if it is missing."""
         half = 3.1415926535897931
         return (-half, half) if self.range is None and self.is_angle else self.range
 
@@ -143,7 +143,7 @@ class FeatureSpec(_Part):
 
 
 class TwistSpec(_Part):
-    """A velocity; a single number is forward (x) or a turn to the left (z)."""
+    """A velocity; a single number means forward (x) or a turn to the left (z)."""
 
     linear: Number | Vector = 0.0  # m/s
     angular: Number | Vector = 0.0  # rad/s
@@ -195,23 +195,23 @@ class ActionSpec(_Part):
 
     @property
     def way(self) -> str:
-        """How it acts, one of WAYS."""
+        """The way to act, one of WAYS."""
         return _given(self, WAYS)[0]
 
     @property
     def fields(self) -> Fields:
-        """The fields of its goal, request or message."""
+        """The fields of the goal, request or message."""
         return self.goal or self.request or self.message
 
 
 class Velocity(_Part):
-    """Where velocities are sent."""
+    """The topic for velocities."""
 
     topic: TopicName = '/cmd_vel'
     type: Literal['geometry_msgs/msg/Twist', 'geometry_msgs/msg/TwistStamped'] = (
         'geometry_msgs/msg/Twist'
     )
-    frame: str = 'base_link'  # of a TwistStamped
+    frame: str = 'base_link'  # frame of a TwistStamped
 
 
 class Reward(_Part):
@@ -225,23 +225,23 @@ class End(_Part):
     """A condition that ends an episode when it becomes true."""
 
     when: str  # a formula over features
-    success: bool = True  # no: the episode is cut off, the task is not over
+    success: bool = True  # False: the episode is cut off, but the task is not over
     reward: Number = 0.0  # in addition to that of the step
 
 
 class Safety(_Part):
-    """When the robot may move."""
+    """The conditions for motion of the robot."""
 
     emergency: TopicName | None = None  # std_msgs/msg/Bool; true: it must not move
     supervised: bool = True  # nothing moves before a person has taken control
-    settle: Seconds = 0.0  # s after each action, unless it says otherwise
+    settle: Seconds = 0.0  # s after each action, unless the action has its own
 
 
 class WorldFile(_Part):
     """A whole world file."""
 
     name: Name
-    step: Annotated[float, Field(ge=0.02, le=60)] = 0.2  # s, of a twist or topic
+    step: Annotated[float, Field(ge=0.02, le=60)] = 0.2  # s, default duration of a twist or topic
     gamma: Annotated[float, Field(gt=0, le=1)] = 0.99
     max_steps: Annotated[int, Field(ge=0, lt=2**31)] = 0
     topics: dict[Name, Topic] = Field(default_factory=dict)
@@ -252,7 +252,7 @@ class WorldFile(_Part):
     reward: Reward = Field(default_factory=Reward)
     ends: tuple[End, ...] = ()
     safety: Safety = Field(default_factory=Safety)
-    use_sim_time: bool = False  # the time is that of /clock
+    use_sim_time: bool = False  # take the time from /clock
 
     @model_validator(mode='after')
     def _check(self) -> Self:
@@ -266,16 +266,16 @@ class WorldFile(_Part):
 
     @property
     def velocity_topic(self) -> Velocity | None:
-        """Where velocities are sent; None: the robot does not drive."""
+        """The topic for velocities; None if the robot does not drive."""
         drives = any(action.twist is not None for action in self.actions.values())
         return self.velocity or (Velocity() if drives else None)
 
     def seconds_of(self, action: ActionSpec) -> float:
-        """Return how long an action may take, without the time to settle, s."""
+        """Return the maximum duration of an action, without the time to settle, s."""
         return self.step if action.seconds is None else action.seconds
 
     def settle_of(self, action: ActionSpec) -> float:
-        """Return how long the robot settles after an action, s."""
+        """Return the time to settle after an action, s."""
         return self.safety.settle if action.settle is None else action.settle
 
 
@@ -283,7 +283,7 @@ def read_world_file(path: Path) -> WorldFile:
     """
     Read and check a world file.
 
-    :raises WorldFileError: it cannot be used.
+    :raises WorldFileError: the file cannot be used.
     """
     try:
         values = read_yaml(path)
@@ -296,12 +296,12 @@ def checked_world(values: Any, where: str) -> WorldFile:
     """
     Check the values of a world file.
 
-    :param where: the name of their file.
-    :raises WorldFileError: they are not a world.
+    :param where: name of the file.
+    :raises WorldFileError: the values are not a valid world.
     """
     if not isinstance(values, Mapping):
         raise WorldFileError(f'{where}: it must have the keys name, topics, features and actions')
-    try:  # as JSON, in which a list is a tuple too
+    try:  # as JSON, so that lists are accepted as tuples
         file = _ADAPTER.validate_json(json.dumps(values), strict=True)
     except ValidationError as error:
         known = _known_keys(error.errors(include_url=False)[0]['loc'])
@@ -328,7 +328,7 @@ T = TypeVar('T')
 
 
 def _known_keys(place: tuple[int | str, ...]) -> tuple[str, ...]:
-    """Return the keys that the file may have where a key is unknown."""
+    """Return the keys that are allowed in the place of an unknown key."""
     if 'twist' in place[:-1]:
         return (*TwistSpec.model_fields,)
     kind = _KINDS.get(str(place[0]), WorldFile) if len(place) > 1 else WorldFile

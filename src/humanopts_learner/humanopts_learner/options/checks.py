@@ -262,17 +262,16 @@ class _Questions:
         usual = saved.mean() > saved.std() or 2 * most > took[start]
         if usual and most > max(meant, default=0) and self._is_new(start):
             text = f'You took {took[start]} steps here, it takes {took[start] - most}. '
+            text += 'Is the shorter way right?'
             state = domain.decode(start)
-            found = _check(
-                CheckKind.SHORTER, self.option, domain, state, 0, text + 'Is this what you meant?'
-            )
+            found = _check(CheckKind.SHORTER, self.option, domain, state, 0, text)
             yield replace(found, compared=demos[start].states)
 
     def detours(self) -> Iterator[Check]:
         """Ask about the longest detour that was shown often."""
         starts = self.starts
         longer = (starts.steps - starts.distance).astype(np.float64)
-        text = 'It takes {} here; %d would do. Is the detour meant?'
+        text = 'It takes {} here; %d would do. Is the detour intended?'
         yield from self._ask(
             CheckKind.DETOUR,
             starts.detour,

@@ -31,7 +31,7 @@ TENTHS = 10  # number of intervals of a continuous feature; values in one count 
 MIN_SHOWN = 2  # minimum number of demonstrations for advice about ends
 MIN_UNUSED = 10  # minimum number of demonstrations to call a chosen feature needless
 WORSE = 0.25  # maximum share of demonstrations in which the option does worse without it
-UNTOLD = 'Nothing that you chose tells where it ends: choose what changes there.'
+UNTOLD = 'No chosen feature tells where the option ends: choose one that changes there.'
 SAY_AGAIN = 'If the option can start where it ends, say so before done.'
 
 

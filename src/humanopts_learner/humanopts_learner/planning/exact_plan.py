@@ -352,7 +352,7 @@ def play_plan(
     """
     limit = max_steps or plan.domain.max_steps
     if limit < 1:
-        raise PlanError(f'{plan.domain.name} never cuts an episode off: give max_steps')
+        raise PlanError(f'{plan.domain.name} has no step limit: give max_steps')
     chance: Chance = np.random.default_rng(0)  # unused without chance
     if not plan.domain.transitions().deterministic:
         chance = [generator(seed, 'play', episode) for episode in range(len(starts))]

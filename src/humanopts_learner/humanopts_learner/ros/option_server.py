@@ -54,7 +54,7 @@ class OptionServerNode(NodeBase):
         deadline = self.setting(
             'no_progress_seconds',
             5.0,
-            'a run ends when game is silent for so long, s',
+            'time without a new state after which a run ends, s',
             PATIENCE,
             on_change=self._on_deadline,
         )

@@ -211,7 +211,7 @@ class PolicyServer(GoalServer):
             raise GoalError('NO_PLAN', f'no {goal.action_set!r} plan exists yet: plan it first')
         known = self._state.options(goal.action_set)
         if made.known_options is not known and goal.action_set != PRIMITIVE:
-            text = 'the options changed since they were planned with: plan again'
+            text = 'the options have changed since the last planning: plan again'
             raise GoalError('NO_PLAN', text)
         return made
 
@@ -461,7 +461,7 @@ class PolicyServer(GoalServer):
             return response
         if run is None or self._run is not run:
             response.status = response.STATUS_NO_RUN
-            response.detail = 'no policy runs: name the execution in the goal of run_policy'
+            response.detail = 'no policy is running: set the execution in the goal of run_policy'
             return response
         response.status, response.previous = response.STATUS_OK, run.execution
         if run.execution is not execution:

@@ -1,5 +1,5 @@
 """
-Reading and writing of bags without ROS, and the errors of bags.
+Reading and writing of bags without ROS, and their errors.
 
 An error message describes the problem and, if possible, a solution.
 """

@@ -9,8 +9,8 @@ class ArrivalTimes:
 
     The middleware stamps each arriving message with the system time. A clock change is detected at
     the next check. A message that arrived between two checks was stamped before or after the
-    change: usually only one of these interpretations lies between the checks. An older message
-    fits neither, and gets the time of the earlier check.
+    change. Usually only one of these interpretations lies between the checks. An older message
+    matches neither, and gets the time of the earlier check.
 
     :ivar now: time of the last check.
     """
@@ -18,11 +18,11 @@ class ArrivalTimes:
     def __init__(self, time_of_day: TimeOfDay) -> None:
         self._time_of_day = time_of_day
         self.now = self._checked_before = time_of_day.now
-        self._ahead_before = 0  # ns, offset of the system time at that check
+        self._ahead_before = 0  # ns, offset of the system time at the previous check
         self._newest: dict[str, int] = {}  # latest arrival by topic
 
     def check(self) -> None:
-        """Detect changes of the system time; call this just after taking messages."""
+        """Detect changes of the system time; call this immediately after taking messages."""
         self._checked_before, self._ahead_before = self.now, self._time_of_day.ahead
         self._time_of_day.check()
         self.now = self._time_of_day.now

@@ -1,4 +1,4 @@
-"""Check a bag for damage and loss, and write a new bag with the readable rest."""
+"""Check a bag for damage and loss, and write the readable messages to a new bag."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from humanopts_teach.bags.sequence_numbers import (
 from humanopts_teach.bags.writer import BagWriter, NAMESPACE, RECORD, SELF
 from humanopts_teach.text_table import table
 
-RECORDER = '(recorder)'  # shown as the publisher if only the recorder numbers messages
+RECORDER = '(recorder)'  # shown as the publisher if only the recorder numbered the messages
 UNNUMBERED = '(none)'  # shown if messages have no numbers, so losses cannot be counted
 
 
@@ -40,7 +40,7 @@ class MessageCounter:
         self._bag = bag
 
     def add(self, recorded: Recorded) -> bool:
-        """Count a message; return whether it is decodable and its publisher is permitted."""
+        """Count a message; return whether it is decodable and from a permitted publisher."""
         topic, stamp = recorded.topic, None
         self.counts[topic] += 1
         self.extent.add(recorded.log_time)
@@ -65,14 +65,14 @@ class Check:
 
     path: str
     messages: int  # number of readable messages
-    recording: bool  # the bag is being recorded, and was read up to its state on disk
+    recording: bool  # whether the bag is being recorded; it was read up to its state on disk
     damage: Sequence[str]  # descriptions of damage to the files
     streams: Sequence[Stream]
-    omitted: Sequence[str] = ()  # descriptions of messages from nodes that may not publish there
+    omitted: Sequence[str] = ()  # descriptions of messages from unpermitted publishers
 
     @property
     def findings(self) -> list[str]:
-        """Descriptions of all defects; empty: the bag is complete, or complete so far."""
+        """Descriptions of all defects; empty: the bag is complete, at least so far."""
         found = list(self.damage)
         for name, text in (
             ('missing', 'messages were sent and are missing'),
@@ -122,7 +122,7 @@ def check_bag(bag: Bag) -> Check:
     for recorded in bag.messages():
         counter.add(recorded)
     for _ in bag.attached():
-        pass  # iteration records damage
+        pass  # the iteration notes damage
     counts, extent = counter.counts, counter.extent
     for topic in bag.topics.values():
         if topic.messages != counts[topic.name]:
@@ -130,7 +130,7 @@ def check_bag(bag: Bag) -> Check:
     metadata = None if bag.growing else bag.information
     if metadata is not None and metadata.message_count != extent.messages:
         bag.note(f'{FILE} lists {metadata.message_count} messages; {extent.messages} were read')
-    elif metadata is not None:  # else the rest differs too, as in an unclosed recording
+    elif metadata is not None:  # if the totals differ, so do the other values
         listed = {
             t.topic_metadata.name: t.message_count for t in metadata.topics_with_message_count
         }
@@ -159,9 +159,9 @@ REPAIR = 'humanopts_repair'  # MCAP metadata record that describes a repair
 
 def repair(bag: Bag, out: Path) -> int:
     """
-    Write the readable contents of a bag to a new bag; the old bag is not modified.
+    Write the readable contents of a bag to a new bag, without modifying the old one.
 
-    Messages keep their bytes, times and order, and the numbers assigned by the recorder.
+    Messages keep their bytes, times and order, and the recorder's numbers.
 
     :param out: folder of the new bag; must not exist.
     :return: number of messages written.

@@ -28,7 +28,7 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
     Demonstrations of other games or of an unknown kind are omitted; the latter are reported in
     ``bag.damage``. ``check_demonstration`` decides whether the others are valid.
 
-    :raises BagError: the bag has no topic of demonstrations.
+    :raises BagError: the bag has no demonstration topic.
     """
     if not bag.of_type(DEMONSTRATION):
         raise BagError(f'{bag.path} has no topic of demonstrations')
@@ -40,7 +40,7 @@ def demonstration_decoder(bag: Bag) -> Callable[[Recorded], Demonstration | None
     """
     Return a function that decodes demonstrations of the recorded game.
 
-    Like learners, it ignores demonstrations of other games and returns None for them.
+    It returns None for demonstrations of other games, which learners ignore too.
     """
     played = domains_played(bag)
     known = [(name, _parsed(parameters)) for name, parameters in played]
@@ -59,7 +59,7 @@ def demonstration_decoder(bag: Bag) -> Callable[[Recorded], Demonstration | None
 
 
 def _parsed(parameters: str) -> Any:
-    """Return the parameters of a game; None: invalid, which is reported elsewhere."""
+    """Return the parameters of a game; None: invalid; reported elsewhere."""
     try:
         return parse_json(parameters)
     except ValueError:
@@ -70,7 +70,7 @@ def domains_played(bag: Bag) -> list[tuple[str, str]]:
     """
     Return the names and parameters (JSON) of the recorded domains, sorted.
 
-    As for the nodes of the graph, the first announcement of a process determines its game.
+    The first announcement of a process determines its game, as in the nodes of the graph.
     """
     first: dict[str, tuple[str, str]] = {}  # by publisher_id
     played = set[tuple[str, str]]()
@@ -79,7 +79,7 @@ def domains_played(bag: Bag) -> list[tuple[str, str]]:
         game = recorded.convert(lambda info: (info.domain, info.parameters))
         stamp = read_stamp(recorded.data)
         if game is not None and stamp is not None:
-            # Programs without publisher ids may announce several games.
+            # Programs without publisher ids can announce several games.
             played.add(first.setdefault(stamp.publisher_id, game) if stamp.publisher_id else game)
             announced.append((recorded, game))
     for recorded, game in announced:
@@ -96,7 +96,7 @@ def read_domain(bag: Bag) -> Domain:
     """
     Return the recorded domain.
 
-    :raises BagError: the bag names no domain, several, or one that is not installed.
+    :raises BagError: the bag contains no domain, several, or one that is not installed.
     """
     name, parameters = _played(bag)
     if 'world_file' in bag.facts and not is_registered(name):
@@ -114,7 +114,7 @@ def read_description(bag: Bag) -> ActableDomain:
     """
     Return the recorded domain, even if it is described only in the bag.
 
-    :raises BagError: the bag names no domain, several, or an invalid one.
+    :raises BagError: the bag contains no domain, several, or an invalid one.
     """
     name, _ = _played(bag)
     if is_registered(name):
@@ -130,7 +130,7 @@ def _played(bag: Bag) -> tuple[str, str]:
     """
     Return the name and parameters (JSON) of the recorded domain.
 
-    :raises BagError: the bag names no domain, or several.
+    :raises BagError: the bag contains no domain, or several.
     """
     played = domains_played(bag)
     if not played:
@@ -162,7 +162,7 @@ class Episode:
 
     @property
     def key(self) -> tuple[str, str, int]:
-        """The unique key of the episode in the bag."""
+        """The key of the episode, unique in the bag."""
         return self.topic, self.publisher_id, self.number
 
     @cached_property
@@ -184,7 +184,7 @@ class Episode:
 
 
 def state_topics(bag: Bag) -> set[str]:
-    """Return the topics of game states, except those that repeat the last state."""
+    """Return the topics of game states, except latched copies of the last state."""
     states = [name for name in bag.of_type(GAME_STATE) if name.rpartition('/')[2] != STATE_COPY]
     topics = {name for name in states if has_step(bag.topics[name].schema)}
     for name in sorted({*states} - topics):
@@ -194,9 +194,10 @@ def state_topics(bag: Bag) -> set[str]:
 
 def _group_episodes(bag: Bag, between: tuple[int, int] = ALWAYS) -> Iterator[Episode]:
     """
-    Yield each episode when its game begins a later one or the bag ends, decoded on demand.
+    Yield each episode when its game begins a later one, or at the end; decode it on demand.
 
-    Later messages of the episode are omitted. A refreshed state replaces that of its step.
+    Messages of an episode after the start of a later one are omitted. A refreshed state replaces
+    the earlier state of its step.
     """
 
     def episode(game: tuple[str, str], number: int, states: dict[int, Recorded]) -> Episode:
@@ -240,7 +241,7 @@ def read_episodes(bag: Bag, between: tuple[int, int] = ALWAYS) -> Iterator[Episo
 
 def find_episodes(bag: Bag) -> list[Episode]:
     """
-    Return the episodes of ``read_episodes`` in the same order, without their transitions.
+    Return the episodes of ``read_episodes``, in the same order, without transitions.
 
     Transitions are read from the bag on demand; this raises ``BagError`` if no longer possible.
     """
@@ -259,7 +260,7 @@ def find_episodes(bag: Bag) -> list[Episode]:
 
 ACTION_COMMAND = f'{INTERFACES}msg/ActionCommand'
 AROUND = 10 * 10**9  # ns before and after an episode to search for its commands
-Actors = dict[tuple[str, int], str]  # option by a command's publisher id and sequence number
+Actors = dict[tuple[str, int], str]  # option, by publisher id and sequence number of a command
 
 
 def read_actors(bag: Bag, episode: Episode | None = None) -> Actors:
@@ -285,5 +286,5 @@ def actor_of(transition: Transition, actors: Actors) -> str:
 
 
 def source_of(transition: Transition) -> str:
-    """Return the source of a transition's action in one word; empty: no action."""
+    """Return the source of a transition's action as one word; empty: no action."""
     return '' if transition.action_source is Source.NONE else transition.action_source.name.lower()

@@ -22,7 +22,7 @@ from humanopts_teach.bags.sequence_numbers import read_stamp, Stream
 from humanopts_teach.text_table import table
 
 _UNKNOWN: Any = {'exam_right': 0, 'exam_runs': 0, 'learned': False, 'status': ''}
-_MAX_ROWS = 50  # maximum number of streams with losses in the text
+_MAX_ROWS = 50  # streams with losses in the text
 _STATUS = f'{INTERFACES}msg/LearningStatus'
 PLAN_RESULT = f'{INTERFACES}msg/PlanResult'
 _POLICY_RESULT = f'{INTERFACES}msg/PolicyResult'
@@ -54,11 +54,11 @@ class OptionRow:
     features: tuple[str, ...]
     demonstrations: int
     not_here: int
-    withdrawn: int  # demonstrations; excluded from the other fields
+    withdrawn: int  # withdrawn demonstrations; excluded from the other fields
     steps: int  # total of all demonstrations
     seconds: float  # total time of the person for all demonstrations, without judged runs
-    judged: int  # runs of the machine that the person judged, in exams and after questions
-    exam_right: int  # these four: according to the last learning status
+    judged: int  # runs judged by the person, in exams and in answer to questions
+    exam_right: int  # this and the next three: from the last learning status
     exam_runs: int
     learned: bool
     status: str  # empty: no learning status was recorded
@@ -92,7 +92,7 @@ class OptionRow:
 
 @dataclass(frozen=True)
 class CriterionRow:
-    """A criterion of an option after a demonstration, from the learning status."""
+    """An option's criterion after a demonstration, from the learning status."""
 
     participant: str
     option: str
@@ -119,9 +119,9 @@ class BagInfo:
     """The summary of a bag."""
 
     path: str
-    recording: bool  # the bag is being recorded; the other fields are preliminary
+    recording: bool  # whether the bag is being recorded (preliminary values)
     damage: Sequence[str]
-    omitted: Sequence[str]  # omitted messages that do not belong to the graph
+    omitted: Sequence[str]  # descriptions of omitted messages
     start: int  # time of the first message, ns since the epoch
     duration: int  # time from the first to the last message, ns
     messages: int
@@ -131,13 +131,13 @@ class BagInfo:
     facts: Mapping[str, str]  # facts of the recorder
     attached: Sequence[Attached]
     domains: Sequence[str]  # name and parameters
-    participants: Sequence[str]  # participants who taught or opened a lesson, sorted
+    participants: Sequence[str]  # those who taught or opened a lesson, sorted
     sessions: Sequence[str]  # sorted
     topics: Sequence[TopicRow]
     options: Sequence[OptionRow]
-    criteria: Sequence[CriterionRow]  # in order of time, at each change
+    criteria: Sequence[CriterionRow]  # at each change, in chronological order
     results: Mapping[str, Mapping[str, int]]  # option runs, plans and policy runs, by status
-    interruptions: int  # options interrupted by policies because another was worth more
+    interruptions: int  # options interrupted in favour of a better one
     execution_changes: int  # changes of arbitration during policy runs
     episodes: int
     episodes_ended: int  # episodes recorded to their end
@@ -176,7 +176,7 @@ class BagInfo:
         histories = defaultdict[tuple[str, str, str], list[CriterionRow]](list)
         for row in self.criteria:
             histories[row.participant, row.option, row.criterion].append(row)
-        # For each criterion, the first time it was met and its last value.
+        # For each criterion, show when it was first met, and its last value.
         criteria = dict.fromkeys(
             row
             for rows in histories.values()

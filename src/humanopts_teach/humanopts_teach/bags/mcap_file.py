@@ -46,7 +46,7 @@ DAMAGE = (
     McapError,
     zstandard.ZstdError,
     struct.error,
-    ValueError,  # includes wrong checksums and invalid UTF-8
+    ValueError,  # including wrong checksums and invalid UTF-8
     KeyError,
     OSError,
     MemoryError,
@@ -59,10 +59,10 @@ class McapFile:
     """
     The contents of one MCAP file.
 
-    :ivar growing: the file is being written, so a missing end is not damage.
+    :ivar growing: whether the file is being written, so that a missing end is not damage.
     :ivar summary: schemas, channels, and locations of chunks and attachments.
     :ivar counts: number of messages by channel id.
-    :ivar loose: messages outside chunks, written by some programs.
+    :ivar loose: messages outside chunks, as some programs write them.
     :ivar damage: descriptions of damage.
     """
 
@@ -97,7 +97,7 @@ class McapFile:
                 yield chunk
 
     def read(self, index: ChunkIndex) -> list[Message]:
-        """Return the messages of a chunk; a damaged chunk raises one of ``DAMAGE``."""
+        """Return the messages of a chunk; raise one of ``DAMAGE`` if the chunk is damaged."""
         with self.path.open('rb') as stream:
             stream.seek(index.chunk_start_offset)
             limit = index.chunk_length
@@ -116,7 +116,7 @@ class McapFile:
 
 
 def ignore_progress(*_: object) -> None:
-    """No-op: ignore progress."""
+    """Do nothing."""
 
 
 def open_file(
@@ -149,7 +149,7 @@ def open_file(
 
 
 def _format_of(path: Path, head: bytes) -> str:
-    """Describe the format of a file from its first bytes, and how to convert it to MCAP."""
+    """Describe the format of a file from its first bytes, and the way to convert it to MCAP."""
     if not head:
         return 'empty'
     for suffix, (_, magic) in COMPRESSED.items():
@@ -164,9 +164,9 @@ def _format_of(path: Path, head: bytes) -> str:
 
 def _read_summary(file: McapFile, stream: BinaryIO) -> bool:
     """
-    Read the index at the end of a file; False: it is missing or incomplete.
+    Read the index at the end of a file, and verify its checksum, unlike the ``mcap`` package.
 
-    Verifies its checksum, which the ``mcap`` package does not.
+    :return: whether the index is complete.
     """
     stream.seek(_HEAD - FOOTER_SIZE - MAGIC_SIZE, SEEK_END)
     footer = Footer.read(ReadDataStream(stream))
@@ -187,13 +187,13 @@ def _read_summary(file: McapFile, stream: BinaryIO) -> bool:
 
 
 def _scan(file: McapFile, stream: BinaryIO, on_read: ReadCallback) -> bool:
-    """Scan a file without an index up to its end or damage; return whether it has an end."""
+    """Scan a file without an index to its end or to damage; return whether it has an end."""
     size, at, closed = stream.seek(0, SEEK_END), MAGIC_SIZE, False
     stream.seek(0)
     reader = StreamReader(stream, emit_chunks=True, record_size_limit=size)
     try:
         for record in reader.records:
-            if isinstance(record, DataEnd):  # followed by the damaged index
+            if isinstance(record, DataEnd):  # only the damaged index follows
                 closed = True
                 break
             _add(file, record, at, stream.tell())
@@ -212,7 +212,7 @@ def _scan(file: McapFile, stream: BinaryIO, on_read: ReadCallback) -> bool:
 
 
 def _add(file: McapFile, record: object, start: int, end: int) -> None:
-    """Add the contents of a record between two offsets."""
+    """Add the contents of a record located between two offsets."""
     summary = file.summary
     if isinstance(record, Schema):
         summary.schemas.setdefault(record.id, record)

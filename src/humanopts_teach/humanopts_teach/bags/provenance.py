@@ -29,7 +29,7 @@ def software() -> dict[str, str]:
 
 
 def lock_hash(places: Sequence[Path]) -> str:
-    """Return the SHA-256 of the lock file in the first folder that is a checkout."""
+    """Return the SHA-256 of the lock file of the first folder that is a checkout."""
     for place in places:
         with suppress(OSError):
             if (place / 'src' / 'humanopts_teach').is_dir():
@@ -45,6 +45,6 @@ def attachments(paths: Sequence[Path]) -> Iterator[tuple[str, Path]]:
     """
     for path in paths:
         for file in sorted(path.rglob('*.json')) if os.path.isdir(path) else [path]:
-            if os.path.isfile(file):  # also False without permission
+            if os.path.isfile(file):  # also False if access is denied
                 name = file.relative_to(path.parent).as_posix()
                 yield name.encode('utf-8', 'replace').decode('utf-8'), file

@@ -1,4 +1,4 @@
-"""Opening of bags, and reading of the messages that the nodes of their graph would accept."""
+"""Opening bags, and reading the messages that the nodes of their graph would accept."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ from humanopts_teach.bags.sequence_numbers import read_stamp
 from humanopts_teach.bags.writer import GAME, GAME_IDS, is_being_written, NAMESPACE, RECORD
 
 BEING_RECORDED = 'the bag is being recorded: this is what it holds so far'
-MAX_OMITTED = 100  # maximum number of kinds of omitted messages, by topic and sender
+MAX_OMITTED = 100  # kinds of omitted messages, by topic and sender
 DEMONSTRATION = f'{INTERFACES}msg/Demonstration'
 DOMAIN_INFO = f'{INTERFACES}msg/DomainInfo'
 GAME_STATE = f'{INTERFACES}msg/GameState'
@@ -50,7 +50,7 @@ class Bag(Recording):
     @cached_property
     def namespace(self) -> str:
         """
-        The namespace of the selected graph; bags of other programs may contain several graphs.
+        The namespace of the selected graph; bags from other programs can contain several.
 
         :raises BagError: the chosen graph does not exist, or there are several and none is chosen.
         """
@@ -104,7 +104,7 @@ class Bag(Recording):
         by_node = Counter[str]()
         for each in games:
             by_node[signer(each)] += states[each]
-        # In a tie, the first in the bag wins; without publisher ids, any node may be the game.
+        # In a tie, use the first in the bag; without publisher ids, any node may be the game.
         best = max(by_node, key=by_node.__getitem__, default='')
         return tuple(each for each in games if best and signer(each) == best)
 
@@ -123,7 +123,7 @@ class Bag(Recording):
     def converted(
         self, type_name: str, convert: Callable[[Any], T], between: tuple[int, int] = ALWAYS
     ) -> Iterator[T]:
-        """Yield the converted genuine messages of a type, in order, without failed conversions."""
+        """Yield the converted genuine messages of a type, in order; omit failed conversions."""
         found = (recorded.convert(convert) for recorded in self.genuine(type_name, between))
         return (each for each in found if each is not None)
 
@@ -131,16 +131,16 @@ class Bag(Recording):
         """
         Return whether the nodes of the graph would accept a message.
 
-        Such a message is in the bag's namespace and comes from the permitted publisher. Others are
-        listed in ``omitted``.
+        Such a message is in the bag's namespace and comes from a permitted publisher. Other
+        messages are listed in ``omitted``.
         """
         return not self.is_foreign(recorded) and own_name(recorded.topic, self.namespace) != ''
 
     def is_foreign(self, recorded: Recorded) -> bool:
         """
-        Return whether a message comes from a node that may not publish on its topic.
+        Return whether a message comes from a node that is not permitted to publish on its topic.
 
-        If the bag contains several graphs and none is chosen, no message counts as foreign.
+        If the bag contains several graphs and none is chosen, every message is permitted.
         """
         if recorded.topic not in self._allowed:
             self._allowed[recorded.topic] = self._allowed_on(recorded.topic)
@@ -158,9 +158,9 @@ class Bag(Recording):
 
     def _allowed_on(self, topic: str) -> tuple[str, ...]:
         """
-        Return the nodes, or publisher ids of the game, that may publish on a topic.
+        Return the nodes, or publisher ids of the game, that are permitted to publish on a topic.
 
-        Empty: any node may publish, or the topic belongs to another graph.
+        Empty: any node is permitted, or the topic belongs to another graph.
         """
         try:
             name = own_name(topic, self.namespace)
@@ -170,7 +170,7 @@ class Bag(Recording):
         return self.game_ids if name in GAME_TOPICS else (owner,) if owner else ()
 
     def omit(self, recorded: Recorded, why: str) -> None:
-        """Register an omitted message, once even if the bag is read several times."""
+        """Record an omitted message, only once even if the bag is read several times."""
         stamp = read_stamp(recorded.data)
         sender = shown(stamp.publisher_id, 80) if stamp else ''
         key = recorded.topic, f'from {sender or "no node"}, {why}'
@@ -197,7 +197,7 @@ class Bag(Recording):
 
     @property
     def notes(self) -> list[str]:
-        """Warnings for the user: a running recording, omitted messages, damage."""
+        """Warnings for the user: bag still being recorded, omitted messages, damage."""
         return [
             *([BEING_RECORDED] if self.growing else []),
             *(f'left out: {text}' for text in self.omitted),
@@ -211,11 +211,11 @@ def open_bag(
     """
     Open a rosbag2 directory or an MCAP file.
 
-    From a truncated or unclosed file, the complete chunks are read, and ``Bag.damage`` describes
-    the damage. A file being recorded is opened with its current contents on disk.
+    The complete chunks of a truncated or unclosed file are read; ``Bag.damage`` describes the
+    damage. A file that is being recorded is read up to its state on disk.
 
-    :param on_read: progress callback, given the amount read and the total, for every pass over the
-        bag; the first pass scans files without an index.
+    :param on_read: progress callback for every pass over the bag, given the amount read and the
+        total; the first pass scans files without an index.
     :param namespace: namespace of the graph, if the bag contains several; empty: the bag's own.
     :raises BagError: the bag does not exist, is empty, is in another format, or has no humanopts
         topics and was not written by the humanopts recorder.
@@ -225,7 +225,7 @@ def open_bag(
     files, errors = [], []
     for file in paths:
         try:
-            growing = is_being_written(file)  # checked first: it may be closed soon
+            growing = is_being_written(file)  # checked first, since it may be closed soon
             files.append(open_file(file, on_read, growing=growing))
         except BagError as error:
             errors.append(error)
@@ -233,7 +233,7 @@ def open_bag(
         raise errors[0]
     bag = Bag(path, files, information, [*damage, *map(str, errors)])
     bag.chosen = namespace
-    if not bag.topics and RECORD not in bag.metadata:  # our recorder may have been killed early
+    if not bag.topics and RECORD not in bag.metadata:  # e.g. the recorder was killed early
         raise BagError(f'{path} holds no messages{"; ".join(["", *bag.damage.splitlines()])}')
     if bag.topics and NAMESPACE not in bag.facts:
         if not any(topic.type.startswith(INTERFACES) for topic in bag.topics.values()):

@@ -1,4 +1,4 @@
-"""The messages, topics and files of a bag from any program, even if damaged."""
+"""The messages, topics and files of a bag from any program, possibly damaged."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator
@@ -21,7 +21,7 @@ from humanopts_teach.bags.schemas import Decoder, make_decoder
 from humanopts_teach.bags.writer import RECORD
 from mcap.records import Attachment, AttachmentIndex, ChunkIndex, Message
 
-MAX_NOTES = 1000  # maximum number of damage descriptions
+MAX_NOTES = 1000  # damage descriptions
 _UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # raised for undecodable bytes
 T = TypeVar('T')
 
@@ -39,17 +39,17 @@ class Recorded(NamedTuple):
 
     @property
     def message(self) -> Any:
-        """The decoded message; None if damaged, which is recorded."""
+        """The decoded message; None if damaged; the damage is recorded."""
         return self.convert(lambda message: message)
 
     def convert(self, convert: Callable[[Any], T]) -> T | None:
         """
         Decode and convert the message.
 
-        :param convert: conversion; may raise ValueError for an invalid value and AttributeError
-            if the recorded type lacks a field.
-        :return: converted message; None if decoding or conversion fails, which is recorded as
-            damage.
+        :param convert: conversion function; may raise ValueError for an invalid value and
+            AttributeError if the recorded type lacks a field.
+        :return: converted message; None if decoding or conversion fails; the failure is recorded
+            as damage.
         """
         try:
             message = self.recording.decoder(self.topic)(self.data)
@@ -69,10 +69,10 @@ class Recording:
     An open recording, which can be read any number of times.
 
     :ivar information: contents of metadata.yaml; None if missing or damaged.
-    :ivar on_read: progress callback of every pass.
+    :ivar on_read: progress callback for every pass.
     :ivar metadata: MCAP metadata records by name.
-    :ivar growing: the bag was being recorded when opened; later messages are not included.
-    :ivar numbered: the humanopts recorder wrote the bag and numbered each topic's messages from 1.
+    :ivar growing: whether the bag was being recorded when opened; later messages are omitted.
+    :ivar numbered: whether the humanopts recorder numbered each topic's messages from 1.
     :ivar topics: topics by name, sorted.
     """
 
@@ -93,7 +93,7 @@ class Recording:
             if file.metadata.get(RECORD, self.facts) != self.facts:
                 self.note(f'{file.path.name} has other facts than the last file')
         kept = information and information.custom_data
-        if kept and self.numbered and kept != self.facts:  # other tools omit them
+        if kept and self.numbered and kept != self.facts:  # other tools omit facts
             self.note(f'{FILE} and the record {RECORD} differ: one of them is damaged')
 
     @property
@@ -126,7 +126,7 @@ class Recording:
         return [index for file in self._files for index in file.summary.attachment_indexes]
 
     def attached(self) -> Iterator[Attachment]:
-        """Yield the intact attached files; record damage of the others."""
+        """Yield the intact attached files; record damage for the others."""
         for file in self._files:
             for index in file.summary.attachment_indexes:
                 try:
@@ -137,7 +137,7 @@ class Recording:
     def compare_bytes(self) -> None:
         """Verify the checksums of all files; record differences as damage."""
         for file in self._files:
-            closed = not (file.growing or file.damage)  # otherwise it has no checksum
+            closed = not (file.growing or file.damage)  # other files have no checksum
             if closed and (fault := check_bytes(file.path, self.on_read)):
                 self.note(f'{file.path.name}: {fault}')
 
@@ -147,7 +147,7 @@ class Recording:
         """
         Yield messages in order of log time.
 
-        Chunks that overlap in time are kept in memory together.
+        Chunks that overlap in time are in memory at the same time.
 
         :param topics: topic names; None: all.
         :param between: first and last log time, ns.

@@ -1,4 +1,4 @@
-"""A rosbag2 directory (version 9, Jazzy): its metadata.yaml and its MCAP files."""
+"""A rosbag2 directory (version 9, Jazzy): metadata.yaml and MCAP files."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -21,12 +21,12 @@ import yaml
 
 FILE = 'metadata.yaml'
 ROOT = 'rosbag2_bagfile_information'
-_NEVER = 2**63 - 1  # starting time of a bag without messages, as in rosbag2
-_TRANSIENT_LOCAL = ('transient_local', 1)  # name, or number before rosbag2 version 9
+_NEVER = 2**63 - 1  # start time of a bag without messages, as in rosbag2
+_TRANSIENT_LOCAL = ('transient_local', 1)  # name, or number in versions before 9
 
 
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
-    """A YAML dumper that writes repeated parts in full instead of as aliases."""
+    """A YAML dumper that writes repeated values in full, without aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -50,7 +50,7 @@ class Topic:
 
     @property
     def latched(self) -> bool:
-        """Whether all publishers offered the last value to late subscribers (transient local)."""
+        """Whether all publishers offered transient_local durability."""
         offered = [profile.get('durability') for profile in profiles(self.qos)]
         return bool(offered) and all(each in _TRANSIENT_LOCAL for each in offered)
 
@@ -95,7 +95,7 @@ def bag_information(
     Return the values of metadata.yaml below ``ROOT``.
 
     :param files: extents by file name within the directory, in order.
-    :param custom: facts of the recorder.
+    :param custom: facts stored by the recorder.
     """
     whole = whole_extent(files.values())
     return {
@@ -116,7 +116,7 @@ def bag_information(
             }
             for topic in topics
         ],
-        'compression_format': '',  # of whole files or messages; chunks are compressed separately
+        'compression_format': '',  # for whole files or messages; chunk compression is separate
         'compression_mode': '',
         'relative_file_paths': list(files),
         'files': [
@@ -167,7 +167,7 @@ def find_files(path: Path) -> tuple[list[Path], Information | None, list[str]]:
     """
     Find the files of a bag.
 
-    :return: files in order; metadata, None if missing or damaged; descriptions of faults in both.
+    :return: files in order; metadata (None: missing or damaged); descriptions of faults in both.
     :raises BagError: the path does not exist, or contains no MCAP file.
     """
     if path.is_file():
@@ -204,7 +204,7 @@ def find_files(path: Path) -> tuple[list[Path], Information | None, list[str]]:
 
 
 class Compression(NamedTuple):
-    """A compression format of files."""
+    """A file compression format."""
 
     command: str
     magic: bytes
@@ -222,7 +222,7 @@ COMPRESSED = {  # by file suffix
 
 def _refuse(path: Path) -> NoReturn:
     """
-    Raise an error that describes a folder without MCAP files and how to convert it.
+    Raise an error that describes a folder without MCAP files and explains how to convert it.
 
     :raises BagError: always.
     """

@@ -22,7 +22,7 @@ _PRIMITIVE = {'bool', 'byte', 'char', 'float32', 'float64', 'string', 'wstring'}
 }
 _UUID = 'unique_identifier_msgs/UUID goal_id\n'
 _CONSTANT = re.compile(r'\s*[a-z0-9]+\s+([A-Z][A-Z0-9_]*)\s*=\s*(-?\d+)\b')
-# Messages that ROS 2 derives from a service or action besides its sections; P is package/Name.
+# Messages that ROS 2 derives from a service or action in addition to its parts; P is package/Name.
 _DERIVED = {
     '_FeedbackMessage': f'{_UUID}P_Feedback feedback\n',
     '_SendGoal_Request': f'{_UUID}P_Goal goal\n',
@@ -40,7 +40,7 @@ _SECTIONS = {'srv': ('_Request', '_Response'), 'action': ('_Goal', '_Result', '_
 
 def find_schema(type_name: str) -> str:
     """
-    Return the definition of a type and of all its dependencies, each once, as one text.
+    Return the definitions of a type and of all its dependencies, each once, as one text.
 
     The first match in AMENT_PREFIX_PATH is used.
 
@@ -95,7 +95,7 @@ def _definition(type_name: str, prefixes: tuple[Path, ...]) -> str:
 
 
 def _base(field_type: str) -> str:
-    """Return the type of a field, or of its elements, without bounds."""
+    """Return the type of a field or, for an array, of its elements, without bounds."""
     return re.sub(r'[<\[].*', '', field_type)
 
 
@@ -123,7 +123,7 @@ def _dependencies(type_name: str, text: str) -> Iterator[str]:
     for field_type, _ in field_lines(text):
         owner, _, name = _base(field_type).rpartition('/')
         if owner or name not in _PRIMITIVE:
-            folder = kind if '_' in name else 'msg'  # parts of services and actions contain _
+            folder = kind if '_' in name else 'msg'  # names of service and action parts contain _
             yield f'{owner.removesuffix("/msg") or package}/{folder}/{name}'
 
 
@@ -136,7 +136,7 @@ def make_decoder(type_name: str, schema: str) -> Decoder:
     """
     Return a function that decodes a message into an object with its fields.
 
-    mcap_ros2 rejects type names that contain _, as in parts of services and actions.
+    mcap_ros2 rejects type names that contain _, as for parts of services and actions.
 
     :raises BagError: the schema is not a message definition.
     """

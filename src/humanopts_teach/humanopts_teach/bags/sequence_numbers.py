@@ -24,7 +24,7 @@ class Stamp(NamedTuple):
 
     publisher_id: str
     sequence: int  # 1, 2, 3, ...
-    episode: int = 0  # 0: none, or not read
+    episode: int = 0  # 0: no episode, or not read
     step: int = 0  # step of the episode
 
 
@@ -70,19 +70,19 @@ class Stream:
     """
     The messages of one publisher on one topic.
 
-    Numbers start at 1, so messages before the first recorded one count as missing, except in other
+    Numbers start at 1; messages before the first recorded one count as missing, except in other
     graphs, which may have started earlier. Messages after the last recorded one are unknown. Only
-    the last ``MAX_GAPS`` gaps are kept: a message that fills an older gap counts as repeated, so
+    the last ``MAX_GAPS`` gaps are kept. A message that fills an older gap counts as repeated, so
     the number of missing messages is never underestimated.
     """
 
     topic: str = ''
     publisher: str = ''
-    latched: bool = False  # current values: newer ones may replace unsent ones
-    own: bool = True  # belongs to the recorded graph
+    latched: bool = False  # the topic is latched: newer values can replace unsent ones
+    own: bool = True  # whether it is in the recorded graph
     first: int = 0  # smallest recorded number; 0: none yet
     sent: int = 0  # largest recorded number
-    recorded: int = 0  # without repetitions
+    recorded: int = 0  # excluding repetitions
     repeated: int = 0
     late: int = 0  # recorded after a larger number
     _gaps: list[tuple[int, int]] = field(default_factory=list)  # first and last number, ascending
@@ -133,8 +133,8 @@ class LossCounter:
         """
         Count one message.
 
-        :param latched: whether the topic carries current values; as for ``own``, only the first
-            message's setting is used.
+        :param latched: whether the topic is latched. As for ``own``, only the value given with the
+            first message is used.
         :param own: whether the topic belongs to the recorded graph.
         """
         key = topic, stamp.publisher_id

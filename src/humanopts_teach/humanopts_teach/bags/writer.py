@@ -1,4 +1,4 @@
-"""Writing of rosbag2 directories: MCAP files (profile ros2) and metadata.yaml."""
+"""Writing rosbag2 directories: MCAP files (profile ros2) and metadata.yaml."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
@@ -37,8 +37,8 @@ class _File:
     """
     An MCAP file being written, unbuffered.
 
-    A record that does not fit on the disk is removed, so that the file stays readable; nothing is
-    written after that. The file gets its final name when its header is on disk, so that readers
+    An incomplete record, as on a full disk, is removed so that the file stays readable; nothing
+    is written after that. The file gets its final name when its header is on disk, so that readers
     never see it empty. It is locked until it is closed, a write fails, or the process ends;
     ``is_being_written`` tests this lock.
     """
@@ -101,7 +101,7 @@ class _File:
 
     def finish(self, information: Any) -> None:
         """
-        Write the index and statistics and close the file; repeated calls do nothing.
+        Write the index and statistics and close the file; later calls do nothing.
 
         :param information: contents of metadata.yaml.
         :raises BagWriteError: the disk is full, or the file cannot be written.
@@ -113,7 +113,7 @@ class _File:
             self.writer.flush()
             self.writer.add_metadata(SELF, {SELF_TEXT: dump(information)})
             self.writer.finish()
-            self.writer = None  # frees the memory of its index
+            self.writer = None  # free the memory of its index
         finally:
             os.close(self._handle)
 
@@ -129,14 +129,14 @@ class _File:
 
 
 def is_being_written(path: Path) -> bool:
-    """Return whether a recorder on this machine has the file open for writing."""
+    """Return whether a recorder on this machine is writing the file."""
     try:
         with path.open('rb') as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     except OSError:
-        pass  # the file cannot be opened or locked, so no writer is known
+        pass  # it cannot be opened or locked, so no writer is known
     return False
 
 
@@ -162,9 +162,9 @@ def next_part(bag: Path) -> Path:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits after which a new file is started; 0: none."""
+    """Limits at which a new file is started; 0: no limit."""
 
-    bytes: int = 0  # size of a file, without the current chunk and the index
+    bytes: int = 0  # size of a file, excluding the current chunk and the index
     seconds: float = 0.0  # duration since the first message in the file
 
 
@@ -175,8 +175,8 @@ class BagWriter(AbstractContextManager['BagWriter']):
     """
     A writer of a bag.
 
-    ``flush`` passes all messages so far to the operating system as complete chunks, so that a
-    killed process loses only later messages.
+    ``flush`` passes all messages so far to the operating system as complete chunks. If the process
+    is then killed, only later messages are lost.
 
     Every method that writes raises ``BagWriteError`` if the disk is full or a file cannot be
     written; nothing is written after that.
@@ -190,7 +190,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
 
         :param path: directory of the bag; must not exist.
         :param facts: settings and versions for the MCAP metadata record ``humanopts``.
-        :param limits: limits of each file.
+        :param limits: limits for each file.
         :raises BagWriteError: the directory exists or cannot be created.
         """
         self.path = Path(path)
@@ -246,7 +246,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         """
         if name not in self.topics:
             if '/msg/' not in type_name:
-                type_hash = ''  # rosbags 0.11 cannot open bags with hashes of events or feedback
+                type_hash = ''  # rosbags 0.11 rejects bags with type hashes of events or feedback
             profiles = dump([dict(profile) for profile in qos]) if qos else ''
             schema = find_schema(type_name) if schema is None else schema
             self.topics[name] = Topic(name, type_name, schema, profiles, type_hash)
@@ -311,7 +311,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
             self._describe(self._information())
 
     def close(self) -> None:
-        """Write the index, statistics and metadata.yaml; repeated calls do nothing."""
+        """Write the index, statistics and metadata.yaml; later calls do nothing."""
         if not self._closed:
             self._closed = True
             information = self._information()
@@ -344,7 +344,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         except BagWriteError:
             self._files.pop().discard()
             raise
-        self._describe(information)  # on failure the new file is kept: the old one is finished
+        self._describe(information)  # on failure, keep the new file: the old one is finished
 
     def _begin_file(self) -> None:
         path = self.path / f'{self.path.resolve().name}_{len(self._files)}.mcap'

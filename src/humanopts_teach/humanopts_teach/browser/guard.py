@@ -15,10 +15,10 @@ from urllib.parse import urlsplit
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 _NO_NAME = (
-    'The server does not know this name of its machine. Open the address that was printed where '
+    'The server does not accept this host name. Open the address that was printed where '
     'the game runs, or start it there with --allow-host and the name.'
 )
-_FOREIGN = 'A page of another site has asked for this one. Open its address in a window.'
+_FOREIGN = 'Another site requested this page. Open the address of the page in a window.'
 
 
 def short_page(text: str, language: str = 'en') -> str:

@@ -113,7 +113,7 @@ class Seat:
         if self._leaving is not None:
             self._leaving.cancel()
         if self.window is not None and self.window is not window:
-            moved = self.message(N_('It goes on in another window.'), N_('go on here'))
+            moved = self.message(N_('Continued in another window.'), N_('continue here'))
             prompt(self.window, moved, self.window.reload)
         self.window = window
         window.listen(lambda keys, frame: self._press(keys, frame))
@@ -301,7 +301,7 @@ class Seats:
 
         code = seat.participant
         text = N_(f'{code} is in another window just now. Nothing is lost there.')
-        prompt(window, seat.message(text, N_('go on here')), take)
+        prompt(window, seat.message(text, N_('continue here')), take)
 
 
 def message(head: tuple[str, ...], text: str, enter: str = '', language: str = '') -> ScreenView:

@@ -1,4 +1,4 @@
-"""What the commands do and how they are interrupted; ``humanopts_teach.cli`` has the options."""
+"""The commands and their interruption; their options are in ``humanopts_teach.cli``."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,16 +10,16 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class CommandError(Exception):
-    """Bad input: the command ends with status 2 and this line."""
+    """Bad input: the command prints this message and exits with status 2."""
 
 
 @contextmanager
 def refusing(*kinds: type[Exception], what: str = '') -> Iterator[None]:
     """
-    Turn errors of some kinds into bad input.
+    Convert errors of some types into bad input.
 
-    :param what: start of the text, before the error; only the cause of an OSError is shown.
-    :raises CommandError: instead of the error.
+    :param what: text before the error message; of an OSError, only the cause is shown.
+    :raises CommandError: one of these errors occurred.
     """
     try:
         yield
@@ -29,7 +29,7 @@ def refusing(*kinds: type[Exception], what: str = '') -> Iterator[None]:
 
 
 def confirmed(question: str) -> bool:
-    """Ask a question at this terminal; return whether the answer is yes."""
+    """Ask a question in this terminal; return whether the answer is yes."""
     print(f'{question} [y/N] ', end='', flush=True)
     return sys.stdin.readline().strip().lower() in ('y', 'yes')
 
@@ -40,7 +40,7 @@ def interruptible() -> Iterator[None]:
     Raise KeyboardInterrupt for SIGINT, SIGTERM and SIGHUP at any point.
 
     This includes background commands, which a shell without job control starts with SIGINT
-    ignored. SIGHUP stays ignored if it was, as ``nohup`` asks for that.
+    ignored. SIGHUP stays ignored if it already was, as under ``nohup``.
     """
 
     def interrupt(signum: int, frame: FrameType | None) -> None:
@@ -69,10 +69,10 @@ class Interrupts:
 @contextmanager
 def catch_interrupts() -> Iterator[Interrupts]:
     """
-    Note these signals, and raise KeyboardInterrupt only in ``check`` or at the end.
+    Record these signals, and raise KeyboardInterrupt only in ``check`` or at the end.
 
     An exception raised by a signal handler would be lost where Python or a library ignores
-    errors: while an object is deleted, or in a callback from C.
+    errors: during the deletion of an object, or in a callback from C.
     """
     interrupts = Interrupts()
 

@@ -1,7 +1,7 @@
 """
-``humanopts bag``: the contents of a recorded bag, what was taught, and its data for other tools.
+``humanopts bag``: the contents of a bag, the lessons in it, and its export to other tools.
 
-Commands import what they need when they run, so that help and completion are quick.
+Commands import modules when they run, so that help and completion are quick.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from humanopts_teach.terminal.device import Device
     from humanopts_teach.terminal.replay import Replay
 
-_MAX_WAIT = 0.2  # s until a resize of the window is noticed
+_MAX_WAIT = 0.2  # s until a window resize is detected
 
 app = typer.Typer(**PLAIN, cls=CommandGroup, subcommand_metavar='COMMAND ...')
 BagArgument = Annotated[Path, typer.Argument(metavar='BAG', help='a rosbag2 folder or .mcap file')]
@@ -61,7 +61,7 @@ def progress_bar() -> Iterator[Callable[..., None]]:
     """
     Show a progress bar on standard error, if that is a terminal.
 
-    Yields the function to call with the progress: done, total and, optionally, the current task.
+    Yields a progress callback with arguments done, total and, optionally, the current task.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -206,7 +206,7 @@ def play(
     with progress_bar() as show:
         opened = open_bag(bag, show, namespace)
         domain, episodes = read_domain(opened), find_episodes(opened)
-        opened.on_read = ignore_progress  # later reads are short, and the screen is in use
+        opened.on_read = ignore_progress  # later reads are short; the terminal is in use
     if episode > len(episodes):
         there = f'1 to {len(episodes)}' if episodes else 'none'
         raise CommandError(f'there is no episode {episode} in {opened.path}: {there}')
@@ -323,7 +323,7 @@ def export(
 
 
 def _print(text: str) -> None:
-    """Print without escape sequences that names in a bag may contain."""
+    """Print a text without the escape sequences that names in a bag may contain."""
     print(printable(text))
 
 
@@ -332,12 +332,12 @@ def _json(values: Any) -> str:
 
 
 def _print_json(*values: Any) -> None:
-    """Print the data of one bag, or a list."""
+    """Print the data of one bag, or a list for several, as JSON."""
     _print(_json(values[0] if len(values) == 1 else values))
 
 
 def _warn(command: str, bag: 'Bag | None', warnings: Sequence[str]) -> None:
-    """Print what was assumed or left out; with the path of one of several bags."""
+    """Print warnings, with the path of the bag if there are several bags."""
     prefix = f'{bag.path}: ' if bag is not None else ''
     for warning in warnings:
         line = one_line(f'humanopts bag {command}: {prefix}{warning}')
@@ -345,7 +345,7 @@ def _warn(command: str, bag: 'Bag | None', warnings: Sequence[str]) -> None:
 
 
 def _check_report(path: Path, bags: int) -> None:
-    """Refuse a report before the work for it is done."""
+    """Reject a report that cannot be written, before the evaluation starts."""
     if bags > 1:
         raise CommandError('--html reports on one bag: give one')
     if path.is_dir():
@@ -362,7 +362,7 @@ def _play(replay: 'Replay', device: 'Device') -> None:
 
     shown = time.monotonic()
     while not replay.over and not device.closed:
-        if not device.has_terminal():  # suspended
+        if not device.has_terminal():  # the process is suspended
             time.sleep(_MAX_WAIT)
             continue
         device.draw(replay.frame)

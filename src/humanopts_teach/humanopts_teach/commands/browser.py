@@ -1,4 +1,4 @@
-"""``--browser``: a page for each participant, with a graph, or with the graphs of a study."""
+"""``--browser``: a page and a graph for each participant, or the graphs of a study."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
@@ -51,7 +51,7 @@ _CANNOT_GO_ON = N_(
     'The study cannot go on just now. What you have done is saved; please tell the person who '
     'invited you.'
 )
-_STOPPING_SECONDS = 40.0  # for the processes of a graph to end; each has less
+_STOPPING_SECONDS = 40.0  # for all processes of a graph to end; each has less time
 
 
 def _turns_to_start() -> asyncio.Semaphore:
@@ -61,10 +61,10 @@ def _turns_to_start() -> asyncio.Semaphore:
 @dataclass
 class Games:
     """
-    What the games of all seats share.
+    Resources shared by the games of all seats.
 
-    :ivar thread: runs their nodes.
-    :ivar starting: limits how many graphs start at once: the pages need the processor, too.
+    :ivar thread: thread that runs their nodes.
+    :ivar starting: limit on simultaneous graph starts: the pages need processor time, too.
     """
 
     thread: TeleopThread
@@ -76,9 +76,9 @@ OpenGame = Callable[[Games, Seat], AbstractAsyncContextManager[Press]]
 
 def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
     """
-    Serve pages until Ctrl-C; other parameters and errors as of ``_serve_seats``.
+    Serve pages until Ctrl-C; see ``_serve_seats`` for other parameters and errors.
 
-    :param setup: of each participant's graph, except for its folder and bag.
+    :param setup: setup for each participant's graph, except for its folder and bag.
     :raises OccupiedError: another server uses the namespace.
     """
     if is_robot(setup.domain):
@@ -119,11 +119,11 @@ def _serve_seats(
     """
     Serve pages, each with a seat, until Ctrl-C.
 
-    :param name: of the game or the study.
-    :param open_game: returns the game of a seat.
+    :param name: name of the game or the study.
+    :param open_game: function that returns the game of a seat.
     :param token: first segment of the path of every page.
-    :param known: returns the codes of earlier participants.
-    :param arrive: called before a participant waits for a game; it may end the seat.
+    :param known: function that returns the codes of earlier participants.
+    :param arrive: function called before a participant waits for a game; it may end the seat.
     :raises CommandError: the address cannot be used.
     """
     listening = _listen(pages)
@@ -142,7 +142,7 @@ def _serve_seats(
             hosts = (pages.host, *pages.allow_host)
             serving = serve(seats, listening, token, entrance, lambda: interrupts.received, hosts)
             asyncio.run(serving, debug=False)
-            interrupts.received = False  # it is handled
+            interrupts.received = False  # the signal has been handled
     finally:
         thread.stop()
     print('stopped')
@@ -150,7 +150,7 @@ def _serve_seats(
 
 
 def _fits(pages: PageOptions, games: int) -> bool:
-    """Return whether another game is allowed; each is a child of this process."""
+    """Return whether another game is allowed; each game is a child of this process."""
     if pages.seats is not None and games >= pages.seats:
         return False
     return has_room(*memory_left(), memory_of_children(), games)
@@ -169,12 +169,12 @@ def _listen(pages: PageOptions) -> socket.socket:
 
 
 def _name(host: str) -> str:
-    """Return the host of the URL; for all addresses of the machine, the outward one."""
+    """Return the host of the URL; if all addresses are served, the outward one."""
     if host not in ('0.0.0.0', '::'):
         return f'[{host}]' if ':' in host else host
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(('192.0.2.1', 9))  # an example address; nothing is sent
+            probe.connect(('192.0.2.1', 9))  # a documentation address; nothing is sent
         except OSError:
             return socket.gethostname()
         return str(probe.getsockname()[0])
@@ -183,9 +183,9 @@ def _name(host: str) -> str:
 @asynccontextmanager
 async def _game(setup: Setup, games: Games, seat: Seat | ConditionSeat) -> AsyncIterator[Press]:
     """
-    Run the graph of a seat, and the node through which its participant teaches.
+    Run the graph of a seat, and the teleoperation node of its participant.
 
-    :param setup: of this participant; the graph has a namespace of its own within the setup's.
+    :param setup: setup of this participant; the graph's own namespace is within the setup's.
     """
     setup = replace(setup, namespace=f'{setup.namespace.rstrip("/")}/seat_{seat.number}')
     async with AsyncExitStack() as game:
@@ -199,7 +199,7 @@ async def _game(setup: Setup, games: Games, seat: Seat | ConditionSeat) -> Async
 async def _node(
     setup: Setup, thread: TeleopThread, seat: Seat | ConditionSeat
 ) -> AsyncIterator[BrowserTeleopNode]:
-    """Run the node through which a participant teaches."""
+    """Run the teleoperation node of a participant."""
     loop = asyncio.get_running_loop()
     (spec,) = [spec for spec in processes(setup) if spec.terminal]
     made: asyncio.Future[BrowserTeleopNode | Exception] = loop.create_future()
@@ -220,7 +220,7 @@ async def _node(
             raise GameError(f'The game cannot be joined: {node}')
         yield node
     finally:
-        node = await made  # the seat may have ended before it was
+        node = await made  # the seat may have ended before it was made
         if not isinstance(node, Exception):
             closed = asyncio.Event()
             thread.close(node, partial(loop.call_soon_threadsafe, closed.set))
@@ -229,7 +229,7 @@ async def _node(
 
 @asynccontextmanager
 async def _graph(setup: Setup, seat: Seat | ConditionSeat) -> AsyncIterator[None]:
-    """Run a graph in a process of its own; the seat ends with it."""
+    """Run a graph in a separate process; the seat ends when the graph does."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, '-m', 'humanopts_teach.commands.seat_graph'),
         stdin=asyncio.subprocess.PIPE,
@@ -242,7 +242,7 @@ async def _graph(setup: Setup, seat: Seat | ConditionSeat) -> AsyncIterator[None
     process.stdin.write(f'{setup.to_json()}\n'.encode())
 
     async def said() -> str:
-        """Return the next message of the process; empty: it is ready."""
+        """Return the next message of the process; empty: the graph is ready."""
         line = await output.readline()
         return str(json.loads(line)) if line else 'see the terminal where it runs'
 
@@ -272,7 +272,7 @@ async def _graph(setup: Setup, seat: Seat | ConditionSeat) -> AsyncIterator[None
 
 
 def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
-    """Serve pages of a study; other parameters and errors as of ``_serve_seats``."""
+    """Serve pages of a study; see ``_serve_seats`` for other parameters and errors."""
     study.warn()
     plan, recruiting = study.plan, study.plan.recruiting
     entrance = Entrance(
@@ -292,9 +292,9 @@ def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
 
 def kept_token(folder: Path) -> str:
     """
-    Return the token of a study, which stays the same: its addresses are sent to people.
+    Return the token of a study, which never changes, since people receive its URLs.
 
-    :raises CommandError: its file cannot be used.
+    :raises CommandError: the file of the token cannot be used.
     """
     path = folder / _TOKEN_FILE
     try:
@@ -312,9 +312,9 @@ def kept_token(folder: Path) -> str:
 
 async def _arrive(study: Study, agreed: dict[Seat, float | None], seat: Seat) -> None:
     """
-    Ask for consent, before anything runs or is written; end the seat if it is not given.
+    Ask for consent before anything runs or is written; end the seat unless consent is given.
 
-    :param agreed: takes the time in s after which the person has agreed; None: was not asked.
+    :param agreed: receives the seat's consent time in s; None: not requested.
     """
     try:
         app = study.consent_app(seat.participant)
@@ -331,11 +331,11 @@ async def _arrive(study: Study, agreed: dict[Seat, float | None], seat: Seat) ->
 
 
 async def _converse(seat: Seat, app: ConsentApp) -> None:
-    """Show the consent, which needs no graph, until it is decided or the seat ends."""
+    """Show the consent pages, without a graph, until a decision or the seat's end."""
     clock, decided = asyncio.get_running_loop().time, asyncio.Event()
 
     def press(keys: list[str], frame: int) -> None:
-        app.advance(clock())  # how long the page has been displayed
+        app.advance(clock())  # update the display time of the page
         app.type(keys, frame)
         app.advance(clock())
         if app.ended or app.agreed is not None:
@@ -383,7 +383,7 @@ async def _all_turns(
                     turn = study.next_turn(participant, turn)
                 done = participant.read()
                 seat.end(turn.text, turn.url if done.over or done.excluded else None)
-        except Exception as error:  # the page must not wait for ever
+        except Exception as error:  # otherwise, the page would wait forever
             _end_by(error, study, seat)
 
     playing = asyncio.create_task(play())
@@ -396,7 +396,7 @@ async def _all_turns(
 
 
 def _end_by(error: Exception, study: Study, seat: Seat) -> None:
-    """End a seat by an error; what concerns only the researcher is printed."""
+    """End a seat because of an error; print errors that concern only the researcher."""
     match error:
         case EndedError():
             seat.end(*study.farewell(error.record))

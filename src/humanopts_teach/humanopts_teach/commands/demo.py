@@ -56,8 +56,8 @@ from humanopts_teach.evaluation.tables import (
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.launching import LaunchError
 
-EPISODES, LONG_EPISODES = 100, 5  # live episodes; the second with sampled plans
-_WATCHED = 0.02  # s between steps of the machine in a terminal
+EPISODES, LONG_EPISODES = 100, 5  # number of live episodes; the latter for sampled plans
+_WATCHED = 0.02  # s between the machine's steps in a terminal
 
 
 def run_demo(
@@ -71,16 +71,16 @@ def run_demo(
     """
     Teach, plan, play, evaluate the bag and report.
 
-    :param name: of the domain.
-    :param episodes: number of episodes to play live; None: the domain's default.
-    :param games: number of games to compare each policy in; 0: no comparison; None: the domain's
+    :param name: name of the domain.
+    :param episodes: number of live episodes; None: the domain's default.
+    :param games: number of games per policy in the comparison; 0: none; None: the domain's
         default.
-    :param game_steps: number of steps to sample plans from; 0: the default.
+    :param game_steps: number of game steps for sampled plans; 0: the default.
     :param error_rate: share of the simulated teacher's steps that are wrong.
     :return: exit status, 1 if a check failed.
     """
     domain = make_domain(name, launch.domain_parameters)
-    PlanRequest(PRIMITIVE, game_steps=game_steps).resolved(domain, ())  # it can be planned in
+    PlanRequest(PRIMITIVE, game_steps=game_steps).resolved(domain, ())  # validates the request
     setup = setup_from(
         name,
         launch,
@@ -139,9 +139,9 @@ def run_demo(
 
 def _import_report(learns: bool) -> None:
     """
-    Import what the report needs, while the graph teaches.
+    Import the modules for the report while the teacher teaches.
 
-    :param learns: whether this process learns the options again.
+    :param learns: whether this process relearns the options.
     """
     if learns:
         import sklearn.tree  # noqa: F401

@@ -8,13 +8,13 @@ from typing import Any, TextIO
 
 
 class _Unfailing:
-    """A text stream that drops what cannot be written."""
+    """A text stream that discards text that cannot be written."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Write if possible."""
+        """Write a text if possible."""
         with suppress(OSError):
             self._stream.write(text)
         return len(text)
@@ -30,7 +30,7 @@ class _Unfailing:
 
 @contextmanager
 def tolerant_output() -> Iterator[None]:
-    """Continue although standard output or standard error is closed or its disk full."""
+    """Ignore errors of standard output and standard error, such as a closed pipe or full disk."""
     out: Any = _Unfailing(sys.stdout)
     err: Any = _Unfailing(sys.stderr)
     with redirect_stdout(out), redirect_stderr(err):
@@ -38,7 +38,7 @@ def tolerant_output() -> Iterator[None]:
 
 
 def open_streams() -> None:
-    """Open streams that the shell has closed (``>&-``), before another file gets their numbers."""
+    """Open streams closed by the shell (``>&-``), before other files get their descriptors."""
     for number, name, mode in ((0, 'stdin', 'r'), (1, 'stdout', 'w'), (2, 'stderr', 'w')):
         if getattr(sys, name) is None:
             null = os.open(os.devnull, os.O_RDWR)
@@ -50,6 +50,6 @@ def open_streams() -> None:
 
 
 def silence(stream: TextIO) -> None:
-    """Drop all buffered and further output of a stream that cannot be written."""
+    """Discard all buffered and later output of a stream that cannot be written."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

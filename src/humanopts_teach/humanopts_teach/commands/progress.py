@@ -1,4 +1,4 @@
-"""What a demo shows while it runs: the board, the lesson, and how well options are learned."""
+"""The display of a running demo: the board, the lesson and the progress of learning."""
 
 from typing import Any
 
@@ -14,15 +14,15 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-_LINE_EVERY = 10  # demonstrations between lines, without a terminal
-_OTHER_ROWS = 4  # of the picture, besides the board and the options
+_LINE_EVERY = 10  # number of demonstrations between lines, without a terminal
+_OTHER_ROWS = 4  # rows of the picture, besides the board and the options
 
 
 class DemoProgress:
     """
-    Shows the progress of a demo: a live picture on a terminal, lines anywhere else.
+    Shows the progress of a demo: a live picture on a terminal, otherwise lines.
 
-    Call it with the graph as often as you like; it draws only what changed.
+    Call it with the graph at any rate; it only draws changes.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class DemoProgress:
         self._live.stop()
 
     def stage(self, text: str) -> None:
-        """Begin the next part of the work."""
+        """Show the name of the next part of the work."""
         self._stage = text
         if self._console.is_terminal:
             self._live.update(Text(f'\n{text} ...'))
@@ -53,13 +53,13 @@ class DemoProgress:
             self._live.update(Text(f'\n{self._stage}: {text} ({done / total:.0%})'))
 
     def comparing(self, done: float, total: float, text: str) -> None:
-        """Show the progress of many games, also as lines."""
+        """Show the progress of the games; print lines if there is no terminal."""
         self.evaluating(done, total, text)
         if not self._console.is_terminal:
             self._print_once(text, f'{done / total:4.0%} {text}')
 
     def __call__(self, graph: Conductor) -> None:
-        """Show the graph's current values."""
+        """Show the current state of the graph."""
         world, options = graph.client.world, graph.client.world.summaries
         lines = [f'{option.option_name}: {_progress(option)}' for option in options]
         if not self._console.is_terminal:

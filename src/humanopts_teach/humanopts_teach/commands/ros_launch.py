@@ -1,4 +1,4 @@
-"""``ros2 launch``: its arguments are those of ``humanopts up``."""
+"""``ros2 launch``: its arguments are the options of ``humanopts up``."""
 
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -23,17 +23,17 @@ ARGUMENTS: dict[str, tuple[str, str]] = {  # default and description of each, by
     for each in _UP.params
     if each.name != 'domain'
 } | {'domain': ('taxi', 'name of the domain')}
-_places = ExitStack()  # until this process ends
+_places = ExitStack()  # held until this process ends
 
 
 def setup_from_launch(texts: Mapping[str, str]) -> Setup:
     """
-    Return the setup that the arguments of a launch ask for.
+    Return the setup described by the arguments of a launch.
 
-    It has no keyboard: ``ros2 launch`` gives the terminal to no process.
+    It has no keyboard, since ``ros2 launch`` gives no process the terminal.
 
     :param texts: values of the arguments, by name; empty: not given.
-    :raises CommandError: one of them is invalid.
+    :raises CommandError: an argument is invalid.
     """
     words = [texts['domain']]
     for each in _UP.params:
@@ -56,7 +56,7 @@ def launched(setup: Setup) -> list[ProcessSpec]:
 
     ``ros2 launch`` ends all processes at once, so the recorder waits for the others.
 
-    :raises OccupiedError: another launch of this machine runs some of them.
+    :raises OccupiedError: another launch on this machine runs one of these nodes.
     """
     specs = processes(setup)
     names = [spec.name for spec in specs]
@@ -71,5 +71,5 @@ def launched(setup: Setup) -> list[ProcessSpec]:
 
 
 def stop_seconds(name: str) -> tuple[float, float]:
-    """Return after how long ``ros2 launch`` sends SIGTERM to a node that ends, and SIGKILL, s."""
+    """Return the timeouts after which ``ros2 launch`` sends SIGTERM and then SIGKILL, s."""
     return (OUTLASTING + 40.0, 20.0) if name == RECORDER else (10.0, 5.0)

@@ -1,7 +1,7 @@
 """
 The process that runs the graph of one participant's page.
 
-It is a module of its own and imports nothing of the server, so that the page is ready sooner.
+This module imports nothing from the server, so that the page is ready sooner.
 """
 
 from contextlib import suppress
@@ -17,12 +17,12 @@ from humanopts_teach.launching.processes import Setup
 
 
 def main() -> int:
-    """Run the graph that standard input describes, until that ends or a signal arrives."""
+    """Run the graph described on standard input until the input closes or a signal arrives."""
     accept_any_text()
     setup = Setup.from_json(sys.stdin.readline())
 
     def check() -> None:
-        if select.select([sys.stdin], [], [], 0)[0]:  # the server closed it, or is gone
+        if select.select([sys.stdin], [], [], 0)[0]:  # the server has closed it or ended
             raise KeyboardInterrupt
 
     def say(text: str) -> None:

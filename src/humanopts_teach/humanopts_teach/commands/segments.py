@@ -1,7 +1,7 @@
 """
-``humanopts import``, and what it shares with ``humanopts bag segment``: plays cut into segments.
+``humanopts import``, and code shared with ``humanopts bag segment``: cutting plays into segments.
 
-Commands import what they need when they run, so that help and completion are quick.
+Commands import modules when they run, so that help and completion are quick.
 """
 
 from collections.abc import Mapping
@@ -74,9 +74,9 @@ def cut_plays(
     domain: 'ActableDomain', plays: 'Mapping[int, Demonstration]', cutting: SegmentOptions
 ) -> str:
     """
-    Cut plays, make the named segments demonstrations, and return the report.
+    Cut plays, save the named segments as demonstrations, and return the report.
 
-    :raises CommandError: there are no plays, or the names do not fit the segments.
+    :raises CommandError: there are no plays, or the names do not match the segments.
     """
     from humanopts_learner.segments import cut, event_features, joined, Segment
     from humanopts_teach.plays import keep_segments
@@ -87,7 +87,7 @@ def cut_plays(
         raise CommandError('to keep segments, give both --name and --out')
     events = tuple(cutting.event) or event_features(domain, [*plays.values()])
     segments = {number: cut(domain, play, events) for number, play in plays.items()}
-    kinds: dict[tuple[str, ...], int] = {}  # numbers, by what happens at the end
+    kinds: dict[tuple[str, ...], int] = {}  # number of each kind, by the events at its end
     lines = [f'events: changes of {", ".join(events) or "no feature"}']
     for number, parts in segments.items():
         lines += ['', f'episode {number}: {len(plays[number].actions)} steps']
@@ -118,7 +118,7 @@ def _names(given: list[str], kinds: int) -> dict[int, str]:
     """
     Parse the names of kinds of segments, such as ``1=get the key``.
 
-    :raises CommandError: there is no such kind, or a text has another form.
+    :raises CommandError: a kind does not exist, or a text has another form.
     """
     names = {}
     for text in given:

@@ -1,4 +1,4 @@
-"""One launch, for as long as a command runs: what is asked for, checked, and the running graph."""
+"""One launch during a command: its options, their checks, and the running graph."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -50,21 +50,21 @@ from humanopts_teach.ros.conductor import Conductor
 from humanopts_teach.ros.graph_probe import check_free
 from humanopts_teach.study.record import SimilarCodeError
 
-_NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
-_TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
-WATCHED = 0.15  # s between steps of the machine while a person watches
-ARRIVAL_SECONDS = 10.0  # for published messages to arrive here
+_NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # valid namespace of a ROS 2 node
+_TEACHING_SECONDS = 600.0  # s, maximum time without progress of the simulated teacher
+WATCHED = 0.15  # s between the machine's steps while a person watches
+ARRIVAL_SECONDS = 10.0  # for published messages to arrive
 
 
 def setup_from(
     domain: str, launch: LaunchOptions, *, evaluated: bool = False, **own: Any
 ) -> Setup:
     """
-    Return the setup that the options of a launch ask for.
+    Return the setup described by the options of a launch.
 
-    :param evaluated: the command evaluates the bag.
-    :param own: fields of Setup that the command sets; ``directory`` and ``step_period`` only
-        where the user gives none.
+    :param evaluated: whether the command evaluates the bag.
+    :param own: fields of Setup set by the command; the user's choices override ``directory`` and
+        ``step_period``.
     :raises CommandError: the domain, its parameters, a threshold, the namespace or a node name is
         invalid, or a bag to be evaluated would lack a topic.
     """
@@ -74,14 +74,14 @@ def setup_from(
         domain = ':'.join(filter(None, (f'{ROBOT}{path}', kind)))
     given = {name: value for name, value in vars(launch).items() if value is not None}
     if is_robot(domain):
-        own.pop('step_period', None)  # it would stand between actions
+        own.pop('step_period', None)  # the robot would pause between actions
     folder = given.get('out', own.pop('directory', default_folder(domain)))
     directory = Path(os.path.abspath(folder))
     with refusing(ValueError):
         setup = Setup(domain=domain, **{**own, **given, 'directory': directory})
         only = node_names(setup.only)
         known = is_registered(domain) or is_robot(domain)
-        if known or not only or 'game' in only:  # else the game is elsewhere
+        if known or not only or 'game' in only:  # otherwise, the game is elsewhere
             game = open_domain(domain, setup.domain_parameters)
             if setup.taught:
                 simulated(game, 'the simulated teacher')
@@ -103,7 +103,7 @@ def setup_from(
 
 def known_code(code: str, known: Iterable[str]) -> str:
     """
-    Return the code of a participant; this terminal asks if a known one differs only in case.
+    Return the code of a participant; ask in this terminal if a known code differs only in case.
 
     :raises CommandError: it is another participant, who needs another code.
     """
@@ -115,17 +115,17 @@ def known_code(code: str, known: Iterable[str]) -> str:
 
 
 def new_name(prefix: str) -> str:
-    """Return a name with the time of day, which sorts by time."""
+    """Return a name with date and time; names sort chronologically."""
     return time.strftime(f'{prefix}-%Y%m%d-%H%M%S')
 
 
 def default_folder(domain: str) -> Path:
-    """Return the folder for data of a domain, without characters that paths dislike."""
+    """Return the folder for data of a domain, without characters unsuitable in paths."""
     return Path('runs') / re.sub(r'[^\w.-]+', '-', title(domain))
 
 
 def title(domain: str) -> str:
-    """Return a short name of a domain: of a robot, the name of its file."""
+    """Return a short name of a domain: for a robot, the name of its file."""
     return robot_file(domain)[0].stem if is_robot(domain) else domain
 
 
@@ -143,7 +143,7 @@ def check_place(namespace: str) -> None:
 
 @dataclass(frozen=True)
 class Session:
-    """The processes of a launch and the node that conducts them."""
+    """The processes of a launch and the node that controls them."""
 
     setup: Setup
     launcher: Launcher
@@ -158,10 +158,10 @@ class Session:
 
     def check(self, *optional: str) -> None:
         """
-        Check the processes and for an interrupt.
+        Check the processes, and check for an interrupt.
 
-        :param optional: as of ``Launcher.check``.
-        :raises LaunchError: a node ended, and does not start again.
+        :param optional: as in ``Launcher.check``.
+        :raises LaunchError: a node ended and is not restarted.
         :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP was received.
         """
         self.interrupts.check()
@@ -171,7 +171,7 @@ class Session:
         """
         Check at the end of a session that everything was recorded.
 
-        :raises LaunchError: the recorder died, or has stopped; the text says why.
+        :raises LaunchError: the recorder died or has stopped; the message gives the reason.
         """
         self.launcher.check()
         if unrecorded := self.graph.unrecorded():
@@ -199,7 +199,7 @@ class Session:
 
 
 def taught_options(domain: Domain) -> tuple[str, ...]:
-    """Return the options to teach: those that the domain suggests, or all that are known."""
+    """Return the options to teach: the domain's suggestions, or else all reference options."""
     known = tuple(reference_options(domain))
     if not known:
         raise CommandError(
@@ -212,7 +212,7 @@ def taught_options(domain: Domain) -> tuple[str, ...]:
 
 def wait_until_taught(running: Session) -> None:
     """
-    Wait until the simulated teacher has finished and its last option has arrived here.
+    Wait until the simulated teacher has finished and the last option has been received.
 
     :raises LaunchError: the teacher is stuck, or a node died.
     """
@@ -227,12 +227,12 @@ def check_folder(setup: Setup, *, new: bool = False) -> None:
     """
     Check that the output folder can be used.
 
-    :param new: it must be empty or missing.
-    :raises CommandError: it cannot be used; the text says why.
+    :param new: whether the folder must be empty or missing.
+    :raises CommandError: the folder cannot be used; the message gives the reason.
     """
     folder = setup.directory
     try:
-        str(folder).encode()  # parameters and the bag contain it
+        str(folder).encode()  # parameters and the bag contain the path
     except UnicodeEncodeError:
         raise CommandError(f'{folder} is not in UTF-8; choose another --out') from None
     with refusing(OSError, what=f'cannot write in {folder}: '):
@@ -247,13 +247,13 @@ def check_folder(setup: Setup, *, new: bool = False) -> None:
                 probe.write(bytes(4096))
                 probe.flush()
         finally:
-            with suppress(OSError):  # another process put a file there
-                for path in made:  # a refused launch leaves nothing
+            with suppress(OSError):  # another process may have added a file
+                for path in made:  # a refused launch leaves no folders
                     path.rmdir()
 
 
 def print_line(line: str) -> None:
-    """Print a line of the command on standard error, at once."""
+    """Print a line of the command on standard error, unbuffered."""
     print(printable(f'humanopts: {line}'), file=sys.stderr, flush=True)
 
 
@@ -264,7 +264,7 @@ def place(
     """
     Reserve nodes in a namespace and an output folder.
 
-    :raises OccupiedError: some of these nodes run there already.
+    :raises OccupiedError: one of these nodes is already running there.
     """
     with only_launch(namespace, names, folder):
         check_free(namespace, names)
@@ -283,16 +283,16 @@ def session(
     """
     Launch a graph, wait until it is ready, and finally stop it, the recorder last.
 
-    A node that ends in between is started again; that is reported here, on the graph and in its
-    log. Nothing is written before it is certain that no other launch runs these nodes.
+    A node that ends meanwhile is restarted, which is reported here, on the graph and in its log.
+    Nothing is written before it is certain that no other launch runs these nodes.
 
-    :param progress: called about twenty times a second during a wait.
-    :param restarts: how often in a row a node is started again.
-    :param report: called with a line when a node ends, is stopped or continues.
-    :param new: the output folder must be empty or missing.
-    :raises OccupiedError: the nodes run already, or another launch uses the folder.
+    :param progress: callback during a wait, about twenty times a second.
+    :param restarts: maximum number of consecutive restarts of a node.
+    :param report: callback for a line when a node ends, is stopped or continues.
+    :param new: whether the output folder must be empty or missing.
+    :raises OccupiedError: one of the nodes is already running, or another launch uses the folder.
     :raises CommandError: the output folder cannot be used.
-    :raises LaunchError: a node ended and is not started again, or does not become ready.
+    :raises LaunchError: a node ended and is not restarted, or does not become ready.
     :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP was received; everything is stopped.
     """
     specs = processes(setup)
@@ -315,7 +315,7 @@ def session(
 
         def on_end(end: NodeExit, instance: str) -> None:
             graph.note_end(end, instance)
-            if end.again:  # otherwise the session fails with it
+            if end.again:  # otherwise, the session fails with this error
                 report(end.text)
 
         launcher.on_start, launcher.on_end = graph.note_start, on_end
@@ -343,12 +343,12 @@ def run_until_interrupt(
     watch: Callable[[], object] = lambda: None,
 ) -> int:
     """
-    Launch a graph and stay until an interrupt; return the exit status.
+    Launch a graph and run it until an interrupt; return the exit status.
 
-    :param started: called when the graph is ready.
-    :param report: called with each line about a node.
-    :param watch: called repeatedly; may raise KeyboardInterrupt to end the launch.
-    :raises LaunchError: as of ``session``, or the recording has gaps.
+    :param started: callback when the graph is ready.
+    :param report: callback for each line about a node.
+    :param watch: periodic callback; may raise KeyboardInterrupt to end the launch.
+    :raises LaunchError: as in ``session``, or the recording has gaps.
     """
     running = None
     try:
@@ -374,11 +374,11 @@ def run_in_terminal(setup: Setup, done: Callable[[Session], object] = lambda run
     """
     Launch a graph, give the terminal to the person, and stop everything; return the exit status.
 
-    :param done: called when the terminal is free again, before the recording is checked.
-    :raises LaunchError: as of ``session``, or the recording has gaps.
+    :param done: callback when the terminal is free again, before the recording is checked.
+    :raises LaunchError: as in ``session``, or the recording has gaps.
     """
     print(_('starting ...'), flush=True)
-    lines: list[str] = []  # while the terminal is in use
+    lines: list[str] = []  # to print when the terminal is free
     say: Callable[[str], object] = print_line
     try:
         with session(setup, report=lambda line: say(line)) as running:

@@ -1,4 +1,4 @@
-"""``humanopts study``: participants one after the other, how far the study is, and its tables."""
+"""``humanopts study``: running participants, the progress of the study, and its tables."""
 
 from collections.abc import Iterable
 import json
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 
 class _StudyCommands(TyperGroup):
-    """Commands; a first word that is no command is a plan to run."""
+    """Commands; a first word that is not a command is the plan to run."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command that the first word names, or the one that runs a plan."""
+        """Return the command named by the first word, or else ``run``."""
         named = args[0] in self.commands or args[0].startswith('-')
         return super().resolve_command(ctx, args if named else ['run', *args])
 
@@ -237,7 +237,7 @@ def report(
 
 def _open(path: Path, folder: Path | None, pilot: bool) -> 'tuple[StudyPlan, StudyFolder]':
     """
-    Read a plan; return it, and the folder of the participants.
+    Read a plan; return it and the folder of the study.
 
     :raises CommandError: the plan cannot be used.
     """
@@ -258,11 +258,11 @@ def _kept(
     command: str, path: Path, folder: Path | None, pilot: bool
 ) -> 'tuple[StudyPlan, StudyFolder, Protocol]':
     """
-    Return the plan in the folder of a study, which is valid whatever the file now says.
+    Return the plan stored in the folder of a study, even if the file has changed since.
 
-    Before the first participant it is the plan of the file.
+    Before the first participant, return the plan in the file.
 
-    :raises CommandError: there is neither.
+    :raises CommandError: no plan is stored, and the file cannot be used.
     """
     from humanopts_teach.study.plan import PlanFileError, read_name, read_plan
     from humanopts_teach.study.protocol import Protocol
@@ -307,6 +307,6 @@ def _report(folder: 'StudyFolder', out: Path, merge: Path | None = None) -> None
 
 
 def _warn(command: str, problems: Iterable[str]) -> None:
-    """Print what was left out."""
+    """Print warnings about omissions."""
     for problem in problems:
         print(one_line(f'humanopts study {command}: {problem}'), file=sys.stderr)

@@ -1,8 +1,8 @@
 """
-``humanopts study check``: what participants see, in order, without a graph.
+``humanopts study check``: the screens that participants see, in order, without a graph.
 
-Consent, pages, questions and the other screens are those of the real dialogue, which is answered
-by key presses. A simulated teacher gives the lesson in this process.
+The screens are those of the real dialogue, which is operated by simulated key presses. A simulated
+teacher gives the lesson in this process.
 """
 
 from collections import Counter
@@ -44,26 +44,26 @@ from humanopts_teach.study.questions import QuestionKind
 from humanopts_teach.study.record import OpenRecord
 from humanopts_teach.terminal.drawing import frame
 
-WIDTH, HEIGHT = 80, 24  # of the terminal whose screens are printed
-_TALL = 200  # rows, where every screen fits
-_STARTS = 20  # start states per option, at most
+WIDTH, HEIGHT = 80, 24  # size of the simulated terminal
+_TALL = 200  # rows, enough for every screen
+_STARTS = 20  # maximum of start states per option
 _ERROR_RATE = 0.02  # share of the simulated teacher's steps that are wrong
 _CODE = 'p01'
 _READING = 200 / 60  # words per second; adults read about 240 a minute (Brysbaert 2019)
-_QUESTION = 8.0  # s for a question
-_BUTTON = 30.0  # s for a suggested button
+_QUESTION = 8.0  # s per question
+_BUTTON = 30.0  # s per button
 _PRACTICE = 60.0  # s
-_STEP = 5.0  # s between two keys
-_MOST_KEYS = 2000  # of one part
+_STEP = 5.0  # s between two key presses
+_MOST_KEYS = 2000  # key presses in one part
 
 
 @dataclass
 class PlanCheck:
     """
-    Goes through the parts of a plan, and prints what participants see.
+    Goes through the parts of a plan, and yields the screens that participants see.
 
     :ivar seconds: estimated time of each part, by key.
-    :ivar notes: what the researcher should know.
+    :ivar notes: notes for the researcher.
     """
 
     plan: StudyPlan
@@ -71,7 +71,7 @@ class PlanCheck:
     language: str  # of the screens
     seconds: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    _limits: dict[str, float] = field(default_factory=dict)  # minutes, by key of the part
+    _limits: dict[str, float] = field(default_factory=dict)  # time limits in min, by part
 
     def run(self) -> Iterator[str]:
         """Yield lines: all screens in order, then the times and the places."""
@@ -117,14 +117,14 @@ class PlanCheck:
                 yield self._screen(app, part)
             app.drawn()
             app.type([])
-            for _ in range(2):  # the screen is displayed long enough
+            for _ in range(2):  # for the minimum display time
                 app.advance(now)
                 now += max(app.screen.earliest, _STEP)
             app.type([next(keys, ESCAPE)])
         self.notes.append(f'{part.key} does not end by itself')
 
     def _app(self, part: Part, domain: Domain | None) -> StudyApp:
-        """Return the dialogue of one part, with a game but without a graph."""
+        """Return the dialogue of one part, with the game, without a graph."""
         record = OpenRecord(self.folder / f'{part.key.replace("/", "-")}.jsonl')
         world = World(domain=domain, me=_CODE)
         if domain is not None:
@@ -134,7 +134,7 @@ class PlanCheck:
         return StudyApp([part], record, _CODE, world, seed=self.plan.seed)
 
     def _teach(self, part: Part, condition: Condition, domain: Domain) -> Iterator[str]:
-        """Yield the screens of a lesson, each kind once, and what was learned."""
+        """Yield the screens of a lesson, one per kind, and the learned options."""
         names = part.teach_buttons or taught_options(domain)
         app, lines = self._app(part, domain), list[str]()
         app.participant, app.given_options = _CODE, part.teach_buttons
@@ -206,7 +206,7 @@ class PlanCheck:
             )
 
     def _screen(self, app: App, part: Part) -> str:
-        """Return a screen of a terminal; note if it does not fit."""
+        """Return a screen as text; add a note if it does not fit the terminal."""
         if any('a higher window shows more' in line for line in frame(app, WIDTH, HEIGHT)):
             note = f'a screen of {part.key} needs more than {HEIGHT} rows of {WIDTH} columns'
             self.notes.extend({note}.difference(self.notes))
@@ -233,7 +233,7 @@ class PlanCheck:
 
 
 def _keys(part: Part, seed: int) -> Iterator[str]:
-    """Yield the keys with which a simulated participant answers a part; then Escape."""
+    """Yield the keys that a simulated participant presses in a part, then Escape."""
     rng = generator(seed, 'checked plan', part.key)
     if part.kind is PartKind.CONSENT:
         yield 'y'

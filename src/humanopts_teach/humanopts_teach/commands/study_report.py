@@ -13,9 +13,9 @@ from humanopts_teach.study.tables import read_study
 
 def merged_wordings(path: Path | None) -> dict[str, str]:
     """
-    Return the canonical names in a file of wordings, as of ``read_merge``; None: no file.
+    Return the canonical names in a file of wordings, as from ``read_merge``; empty: no file.
 
-    :raises CommandError: it cannot be used.
+    :raises CommandError: the file cannot be used.
     """
     with refusing(MergeError, what=f'{path}: '):
         return read_merge(path) if path is not None else {}
@@ -26,7 +26,7 @@ def write_report(folder: StudyFolder, out: Path, merge: Path | None = None) -> l
     Write the report of a study.
 
     :param merge: file of wordings of buttons with the same meaning; None: none.
-    :return: descriptions of what was left out.
+    :return: descriptions of omissions.
     :raises CommandError: no one has taken part yet, or the file cannot be written.
     """
     data, problems = read_study(folder, time.time(), merged_wordings(merge))

@@ -1,4 +1,4 @@
-"""How a study proceeds: one participant after the other, condition by condition."""
+"""The course of a study: one participant at a time, one condition at a time."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -45,7 +45,7 @@ from humanopts_teach.study.record import (
 )
 from humanopts_teach.terminal.show import show
 
-_MIN_SECONDS = 1.0  # remaining time of a part that can be continued
+_MIN_SECONDS = 1.0  # minimum remaining time of a part that can be continued
 _CANNOT_BEGIN = N_(
     'The study cannot begin just now, and nothing was saved. Please tell the person who invited '
     'you.'
@@ -55,7 +55,7 @@ _ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
 
 @dataclass(frozen=True)
 class Turn:
-    """What a participant does in one condition."""
+    """The activity of a participant in one condition."""
 
     condition: Condition
     left: Sequence[Part]
@@ -66,8 +66,8 @@ class Farewell(NamedTuple):
     """
     The end of a participant's visit.
 
-    :ivar text: what the participant reads.
-    :ivar url: address of the recruiting platform to go to, from the plan; empty: none.
+    :ivar text: text shown to the participant.
+    :ivar url: URL of the recruiting platform, from the plan; empty: none.
     """
 
     text: str
@@ -75,7 +75,7 @@ class Farewell(NamedTuple):
 
     @property
     def in_terminal(self) -> str:
-        """The text, with the address in a line of its own."""
+        """The text, with the URL on a separate line."""
         return '\n'.join(filter(None, self))
 
 
@@ -85,7 +85,7 @@ def _address(template: str | None, code: str) -> str:
 
 @dataclass(frozen=True)
 class Study:
-    """A plan, for those who begin now, and the folder of all participants."""
+    """The plan for new participants, and the folder of all participants."""
 
     plan: StudyPlan
     folder: StudyFolder
@@ -93,11 +93,11 @@ class Study:
 
     def check_plan(self, *, accept: bool) -> None:
         """
-        Compare the plan with the kept one, and print the difference.
+        Compare the plan with the stored one, and print the differences.
 
-        :param accept: keep the plan if it was changed.
-        :raises ChangedPlanError: it was changed and is not accepted.
-        :raises StudyError: the kept plan is damaged.
+        :param accept: whether to store a changed plan.
+        :raises ChangedPlanError: the plan was changed, and ``accept`` is False.
+        :raises StudyError: the stored plan is damaged.
         """
         try:
             self.folder.check(self.plan)
@@ -132,7 +132,7 @@ class Study:
         return status
 
     def simulate(self, code: str) -> None:
-        """Let a simulated teacher take part; the seed determines its other answers."""
+        """Let a simulated teacher take part; the seed determines its answers."""
         with place(self.namespace), self.enter(code, simulated=True) as participant:
             turn = self.next_turn(participant, simulated=True)
             while isinstance(turn, Turn):
@@ -152,17 +152,17 @@ class Study:
                 turn = self.next_turn(participant, turn, simulated=True)
 
     def warn(self) -> None:
-        """Print what is left out of the records."""
+        """Print warnings about omitted records and lines."""
         for problem in self.folder.records()[1]:
             print(one_line(f'humanopts study: {problem}'), file=sys.stderr)
 
     def consent_app(self, code: str) -> ConsentApp | None:
         """
-        Return the consent to show before anything runs or is written; None: it is not asked.
+        Return the consent to show before anything runs or is written; None: not required.
 
-        People who come when all places are taken are counted.
+        People who arrive when all places are taken are counted.
 
-        :raises StudyError: this code cannot take part.
+        :raises StudyError: the code cannot take part.
         """
         try:
             known = self.folder.find(self.plan, code)
@@ -179,12 +179,12 @@ class Study:
         return app
 
     def declined(self) -> Farewell:
-        """Return what a person reads who did not agree to take part, and has been counted."""
+        """Return the text shown to a person who has declined."""
         text = _('Nothing was saved. Only the number of people who decline is counted.')
         return Farewell(text, _address(self.plan.recruiting.declined, ''))
 
     def _count(self, code: str, event: LogEvent | None) -> None:
-        """Count a person once; that this fails concerns only the researcher."""
+        """Count a person once; report an error only to the researcher."""
         try:
             self.folder.count(code, event)
         except OSError as error:
@@ -201,13 +201,13 @@ class Study:
         **client: Any,
     ) -> Iterator[Record]:
         """
-        Take part: yield the record of a participant, which is held until the context ends.
+        Start a visit: yield the record of a participant, locked until the context ends.
 
-        :param consent_seconds: time in which the person has agreed just now; None: was not asked.
+        :param consent_seconds: time that the person took to consent, s; None: not requested.
         :param client: fields of the 'client' event: browser, width, height, language, columns.
-        :raises StudyError: this code cannot take part, takes part elsewhere, or is new and cannot
-            be written; in the last case, nothing about the participant is left.
-        :raises OSError: the record of a participant who continues cannot be written.
+        :raises StudyError: the code cannot take part, takes part elsewhere, or is new and cannot
+            be written; in the last case, no data of the participant remain.
+        :raises OSError: the record of a returning participant cannot be written.
         """
         try:
             record = self.folder.enter(
@@ -224,7 +224,7 @@ class Study:
             yield record
 
     def farewell(self, record: Record) -> Farewell:
-        """Return what a participant reads at the end."""
+        """Return the text shown to a participant at the end of the visit."""
         record, recruiting = record.read(), self.plan.recruiting
         if record.excluded:
             text = _('The study ends here: too many attention checks were not passed.')
@@ -244,8 +244,8 @@ class Study:
         """
         Return the next condition with remaining parts, or a farewell if there is none.
 
-        :param last: the condition that just ended.
-        :raises CommandError: the next one cannot be launched.
+        :param last: condition that just ended.
+        :raises CommandError: the next condition cannot be launched.
         :raises StudyError: the record or its plan cannot be used.
         """
         record, notes = participant.read(), OpenRecord(participant.path)
@@ -278,10 +278,10 @@ class Study:
         simulated: bool,
     ) -> Setup:
         """
-        Return the launch of a condition.
+        Return the launch setup of a condition.
 
-        :param left: parts to do.
-        :param simulated: whether a simulated teacher takes part.
+        :param left: remaining parts.
+        :param simulated: whether the participant is simulated.
         """
         launch = LaunchOptions(
             out=self.folder.path / participant.code / condition.name,
@@ -332,9 +332,9 @@ def simulated_part(
     Buttons are suggested with the frequencies of Table 1 of the paper; answers are uniform, and
     attention checks are passed.
 
-    :param seed: of the study.
-    :param number: of the participant.
-    :param teach: lets a simulated teacher teach, and returns the learned options.
+    :param seed: seed of the study.
+    :param number: index of the participant in order of arrival.
+    :param teach: function that runs a simulated teacher and returns the learned options.
     """
     from humanopts_teach.evaluation.table1 import TABLE_1  # slow to import
 

@@ -114,7 +114,7 @@ class Screen:
         """Handle a key that is not bound to a command: a digit repeats the next action."""
         if key.isdecimal() and self.plays(app):
             app.times = f'{app.times}{key}'.lstrip('0')[:2]
-            app.say(_('{count} times: now an action key.').format(count=app.times or 0))
+            app.say(_('{count} times: now press an action key.').format(count=app.times or 0))
 
     def refused(self, app: 'App') -> None:
         """Handle a request that was not carried out."""
@@ -393,7 +393,7 @@ class App:
                 other = given and seen.screen is not self.screen
                 if other or (self.screen.answers_lesson and seen.asked_for != self._asked_for):
                     self.say(
-                        _('{key} was pressed before this was shown; ignored.').format(
+                        _('{key} was ignored: it was pressed before this screen.').format(
                             key=label(key)
                         )
                     )

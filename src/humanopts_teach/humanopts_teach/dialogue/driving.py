@@ -249,7 +249,7 @@ def _correction(option_name: str, correct: Correct, app: App) -> Command:
 class RunScreen(PlayScreen):
     """The machine runs one taught option; a person's action key takes over."""
 
-    text: str = N_('The machine runs it from the state shown. An action key takes over.')
+    text: str = N_('The option runs from the state shown. An action key takes over.')
     _: KW_ONLY
     option_name: str
     correct: Correct
@@ -277,7 +277,7 @@ class WatchScreen(PlayScreen):
     """The machine plans and plays episodes; a person's action key takes over."""
 
     title: str = N_(f'Watch the machine play {EPISODES} episodes')
-    text: str = N_('Enter starts it: it plans first, then plays. An action key takes over.')
+    text: str = N_('Enter: the machine plans first, then plays. An action key takes over.')
     _: KW_ONLY
     teach: Do
     correct: Correct
@@ -359,7 +359,8 @@ class WatchScreen(PlayScreen):
             )
         elif well and (stuck := app.world.lesson.stuck_options):
             text = _(
-                'Alone, it got stuck in {count} of {most} games: continue teaching {option!r}.'
+                'The plan alone got stuck in {count} of {most} games: continue teaching '
+                '{option!r}.'
             )
             count, most = sum(app.world.lesson.stuck_games), app.world.lesson.trial_games
             app.say(f'{said} {text.format(count=count, most=most, option=stuck[0])}')

@@ -218,7 +218,7 @@ def _criteria(progress: OptionSummary) -> Iterator[Block]:
     }
     if found := [words.format(count=count) for words, count in ends.items() if count]:
         yield Line(
-            _('Of your demonstrations, it ends {how}.').format(how=', '.join(found)),
+            _('Demonstrations: the option ends {how}.').format(how=', '.join(found)),
             Tone.WARNING,
         )
 
@@ -260,7 +260,7 @@ def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
     elif measured:
         undecided = [translated(c.name) for c in progress.criteria if c.undecided]
         why = (
-            _(': {names} is not yet known well enough').format(names=', '.join(undecided))
+            _(' ({names}: not yet known well enough)').format(names=', '.join(undecided))
             if undecided
             else ''
         )
@@ -318,5 +318,7 @@ def _conflicts(
             yield Line(words, Tone.WARNING)
     repeats = any(c.name == IMITATION and c.value == 1.0 for c in progress.criteria)
     if repeats and progress.n_questions + progress.exam_runs + progress.exams_failed:
-        text = _('It may still repeat a run that you called wrong. If that was a slip, delete it')
+        text = _(
+            'The option may repeat a run that you judged wrong. If you erred, delete the verdict'
+        )
         yield Line(f'{text} ({demonstrations}).', Tone.WARNING)

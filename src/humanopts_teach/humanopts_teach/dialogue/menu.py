@@ -374,7 +374,7 @@ def _ask_columns(then: Do, app: App) -> None:
             if numbers
             else _('On {name}').format(name=name)
         )
-        note = _('it separates where you have shown your options')
+        note = _('it tells the starts of your options apart')
         items.insert(0, Item(text, note, partial(choose, (column,))))
     title = _('What does the choice between your options depend on?')
     app.show(ListScreen(title, items, _choose_plan))

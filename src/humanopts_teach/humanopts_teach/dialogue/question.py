@@ -76,7 +76,7 @@ class RunQuestion:
             for compares, (who, states) in enumerate(runs)
             if len(states) > 1
         ]
-        number = _('question {number} about what it does').format(number=lesson.n_questions + 1)
+        number = _('question {number} about its behaviour').format(number=lesson.n_questions + 1)
         after = _('After no, you show what it should do there.')
         blocks: list[Block] = [
             Line(_('Teaching: '), more=(Line(lesson.option_name, strong=True),)),

@@ -139,9 +139,7 @@ class StudyApp(App):
         self.note('part began')
         self.show(_first_screen(part, self))
         if again:
-            self.say(
-                _('You are back: what you finished is kept; what was under way begins again.')
-            )
+            self.say(_('Welcome back: finished work is kept; unfinished work begins again.'))
 
     def end(self, why: str = FINISHED) -> None:
         """

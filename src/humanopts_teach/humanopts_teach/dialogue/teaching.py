@@ -51,8 +51,8 @@ from humanopts_teach.lesson.requests import (
 
 MANY_REFUSED = 5  # number of *not here* answers in a row before a comment
 _REFUSED = N_(
-    '{count} times not here, one after the other. If it could begin at some of these starts, show '
-    'it there; the machine learns little from not here alone.'
+    'You said not here {count} times in a row. If the option can begin at some of these starts, '
+    'show it there; the machine learns little from not here alone.'
 )
 _EXPLAINED = N_(
     'Say yes if you look at this to decide what to do, whether it can begin, or whether it is '
@@ -60,7 +60,7 @@ _EXPLAINED = N_(
 )
 _EXPLAINED_GROUP = N_(
     'Say yes if any of this matters for what to do, whether it can begin, or whether it is done: '
-    'then each of it is asked about. Say no if none of it makes a difference.'
+    'then a question about each follows. Say no if none of it makes a difference.'
 )
 _EXPLANATIONS = {
     Phase.DEMONSTRATING: N_(
@@ -531,7 +531,7 @@ class LessonScreen(Screen):
         if since is None or since.step != lesson.machine_steps or not driven:
             app.say(_('There is no step of yours to undo.'), bad=True)
         elif lesson.paused:
-            app.say(_('Not now: the lesson is paused and could not begin again.'), bad=True)
+            app.say(_('Not now: the lesson is paused, so no demonstration can begin.'), bad=True)
         else:
             self.redo = [step.previous_action for step in driven[:-1]]
             self._discard(app)

@@ -1,5 +1,5 @@
-"""Offline evaluation: the numbers of a lesson, from its demonstrations alone."""
+"""Offline evaluation: the results of a lesson, computed only from its demonstrations."""
 
 from collections.abc import Callable
 
-ProgressCallback = Callable[[float, float, str], object]  # done, total, current task
+ProgressCallback = Callable[[float, float, str], object]  # arguments: done, total, current task

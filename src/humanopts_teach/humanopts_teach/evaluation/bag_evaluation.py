@@ -61,13 +61,13 @@ from humanopts_teach.evaluation.tables import option_row, OPTIONS, plan_row, PLA
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-EPISODES = 100  # per plan, if models are exact
+EPISODES = 100  # per plan with exact models
 SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # packages that affect learning
-Key = tuple[str, str]  # participant and name of an option
+Key = tuple[str, str]  # participant and option name
 
 
 class EvaluationError(BagError):
-    """A bag cannot be evaluated; the text says why."""
+    """A bag cannot be evaluated; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class OptionEvaluation:
 
     :ivar summary: summary after all demonstrations.
     :ivar learning: one row per demonstration, starting with the first trajectory, with the
-        verdicts on the option as it was then; columns ``OPTIONS``.
+        verdicts on the option at that time; columns ``OPTIONS``.
     :ivar reproduced: whether it equals the option file in the bag; None: no file.
-    :ivar judged: its runs that the person judged, by number.
+    :ivar judged: judged runs by number.
     """
 
     option: LearnedOption
@@ -90,13 +90,13 @@ class OptionEvaluation:
 
     @property
     def row(self) -> Any:
-        """The last row: attributes by column."""
+        """The last row of ``learning``, columns as attributes."""
         return next(self.learning.tail(1).itertuples(index=False))
 
 
 @dataclass(frozen=True)
 class PlanEvaluation:
-    """A plan with the options of one participant, or with primitive actions alone."""
+    """A plan with the options of one participant, or with primitive actions only."""
 
     participant: str
     plan: AnyPlan
@@ -106,10 +106,10 @@ class PlanEvaluation:
 @dataclass(frozen=True)
 class BagEvaluation:
     """
-    The options and plans computed from a bag alone.
+    The options and plans computed only from a bag.
 
-    :ivar options: in order of first demonstration.
-    :ivar plans: by action set and, if several people taught, by person.
+    :ivar options: options in order of first demonstration.
+    :ivar plans: plans by action set and, if several people taught, by person.
     :ivar warnings: sentences on assumptions and omissions.
     :ivar games: tables of ``evaluate_games`` by participant, if requested.
     :ivar demonstrations: all demonstrations and judged runs, including withdrawn and omitted ones.
@@ -152,7 +152,7 @@ class BagEvaluation:
         return [each for each in self.options if each.option.participant == participant]
 
     def unready(self, plan: PlanEvaluation) -> list[str]:
-        """Return the options of a plan that are not learned."""
+        """Return the names of a plan's options that are not learned."""
         of = self.of(plan.participant)
         return [each.option.name for each in of if not each.summary.learned]
 
@@ -192,12 +192,12 @@ def evaluate_bag(
     """
     Evaluate a bag with the settings stored in it.
 
-    :param progress: called after each part of the work.
+    :param progress: callback after each part of the work.
     :param episodes: number of episodes per plan; 0: the default of the domain.
-    :param jobs: as in ``all_of``, but 0: only this process if plans are exact, since starting
+    :param jobs: as in ``all_of``; but 0 means only this process if plans are exact, since starting
         processes would take longer.
     :raises BagError: the bag cannot be read.
-    :raises EvaluationError: it contains no demonstration to learn from.
+    :raises EvaluationError: the bag contains no demonstration to learn from.
     """
     opened = open_bag(bag) if isinstance(bag, str | Path) else bag
     domain = read_domain(opened)
@@ -224,7 +224,7 @@ def evaluate(
     jobs: Jobs = 1,
 ) -> BagEvaluation:
     """
-    Learn every option of every participant and plan with the options.
+    Learn every option of every participant, and plan with the options.
 
     :param episodes: number of episodes per plan; 0: the default of the domain.
     :param jobs: as in ``all_of``.
@@ -234,7 +234,7 @@ def evaluate(
     if not groups:
         raise EvaluationError('; '.join(['the bag holds no demonstration to learn from', *notes]))
     requests = list(dict.fromkeys([*((person, HUMAN) for person, _ in groups), ('', PRIMITIVE)]))
-    work: list[tuple[Callable[[], Any], str, float]] = []  # call, name and cost
+    work: list[tuple[Callable[[], Any], str, float]] = []  # call, name and cost of each
     kept = {demo.uuid for demos in groups.values() for demo in demos}
     for (person, name), demos in groups.items():
         of_person = [d for d in demonstrations if d.participant == person and d.uuid in kept]
@@ -271,7 +271,7 @@ def evaluate(
 def usable_demonstrations(
     demonstrations: Sequence[Demonstration], domain: Domain
 ) -> tuple[dict[Key, list[Demonstration]], list[str]]:
-    """Group demonstrations and judged runs by option; return a sentence on each omission, too."""
+    """Group demonstrations and judged runs by option; also return a sentence on each omission."""
     good, notes = [], []
     for demo in demonstrations:
         try:
@@ -321,7 +321,7 @@ def _evaluate_plan(
     """
     Learn each option from its demonstrations, plan with the options and evaluate the plan.
 
-    :return: the error if no plan can be made.
+    :return: plan and performance, or the error if planning is impossible.
     """
     options = [learn_option(demos, domain, request.seed) for demos in taught]
     try:
@@ -333,13 +333,13 @@ def _evaluate_plan(
 
 
 def attached_options(bag: Bag) -> dict[Key, Mapping[str, Any]]:
-    """Return the option files attached to a bag; report damaged ones as warnings of the bag."""
+    """Return the option files attached to a bag; record damaged ones as damage of the bag."""
     found: dict[Key, Mapping[str, Any]] = {}
     for file in bag.attached():
         try:
             data = parse_json(file.data.decode())
         except ValueError:
-            continue  # another kind of file
+            continue  # not an option file
         if isinstance(data, dict) and data.get('format') == FORMAT:
             found[str(data.get('participant')), str(data.get('name'))] = data
     return found
@@ -355,7 +355,7 @@ def compare_options(
 
     :param attached: option files; automatic options, which have no demonstrations, are skipped.
     :param demonstrations: all demonstrations, including those of the options.
-    :return: whether each file is equal to the last digit, and a sentence on each difference.
+    :return: whether each file is exactly equal, and a sentence on each difference.
     """
     by_uuid = {demo.uuid: demo for demo in reversed(demonstrations)}
     equal: dict[Key, bool] = {}
@@ -375,7 +375,7 @@ def compare_options(
 
 
 def software_notes(facts: Mapping[str, str]) -> list[str]:
-    """Return a sentence on each package with a version other than the recorded one."""
+    """Return a sentence on each package with a version unlike the recorded one."""
     now = software()
     return [
         f'recorded with {name.removesuffix("_version")} {facts[name]}, and this is {now[name]}: '
@@ -409,7 +409,7 @@ def with_games(
     Compare plans with each participant's options with other policies in many games.
 
     :param games: number of games per policy, two or more.
-    :param progress: called after each part of the work.
+    :param progress: callback after each part of the work.
     :param jobs: as in ``all_of``.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """

@@ -1,9 +1,9 @@
 """
 Comparison of policies in many games of a domain with sampled models.
 
-The policies are the paper's plans (with the options taught by its participants and with primitive
-actions), plans with all options, random choice among the options and, if the domain has one, a
-hand-written rule. All play the same number of games in each variant of the game.
+The policies are the paper's plans (with its participants' options and with primitive actions),
+plans with all options, random choice among the options and, if the domain has one, a hand-written
+rule. All policies play the same number of games in each variant of the game.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,9 +43,9 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-GAMES, REPLAYED_GAMES = 1000, 100  # per policy; the latter where worlds step one by one
-FOLD = 4  # factor of game steps for a second plan with all options
-PLAYING = 50_000  # game steps of sampling that take about as long as evaluating a policy
+GAMES, REPLAYED_GAMES = 1000, 100  # per policy; the latter if worlds step one by one
+FOLD = 4  # multiplies the game steps for a second plan with all options
+PLAYING = 50_000  # sampled game steps that take about as long as evaluating a policy
 PLAN, RANDOM, RULE = 'plan', 'chance', 'rule'  # kinds of baseline
 RULE_NAME = 'hand-written rule'
 HUMAN_PLAN = PlanRequest(HUMAN)
@@ -53,22 +53,22 @@ HUMAN_PLAN = PlanRequest(HUMAN)
 
 @dataclass(frozen=True)
 class Baseline:
-    """One policy."""
+    """One policy to compare."""
 
     name: str
     kind: str  # PLAN, RANDOM or RULE
-    options: Sequence[LearnedOption] = ()  # of PLAN and RANDOM
-    request: PlanRequest = HUMAN_PLAN  # of PLAN; RANDOM uses its action set
+    options: Sequence[LearnedOption] = ()  # for PLAN and RANDOM
+    request: PlanRequest = HUMAN_PLAN  # for PLAN; RANDOM uses only the action set
 
 
 def gains(games: 'pd.DataFrame') -> 'pd.DataFrame':
     """
-    Return the gains in score of plans over random choice and over the rule, paired by game.
+    Return the score gains of plans over random choice and over the rule, paired by game.
 
     :param games: table of ``evaluate_games``.
-    :return: setting, name, less (name of the other), mean, low, high (95 % interval). The first
-        plan with all options, run to their ends, is compared with random choice among them, and
-        the last plan with all options with the rule.
+    :return: columns setting, name, less (name of the other policy), mean, low, high (95 %
+        interval). Random choice is compared with the first plan with all options, run to their
+        ends; the rule is compared with the last plan with all options.
     """
     import pandas as pd
 
@@ -120,9 +120,9 @@ def play_baseline(
 
     :param seed: seed of the plan and of the games, which are drawn independently.
     :param games: number of games, two or more.
-    :param known: plan of the baseline, made and evaluated with the same seed; None: make it.
+    :param known: plan of the baseline, made and evaluated with the same seed; None: make one.
     :return: columns ``GAMES`` without the setting, and the scores of the games (E,).
-    :raises PlanError: see ``make_sampled_plan``; or the domain has no hand-written rule.
+    :raises PlanError: as in ``make_sampled_plan``, or the domain has no hand-written rule.
     """
     if baseline.kind == PLAN:
         if known is None:
@@ -226,11 +226,11 @@ def evaluate_games(
     :param options: options of one participant, learned in ``domain`` or in a variant of it.
     :param games: number of games per policy, two or more.
     :param game_steps: game steps per plan; 0: the planner's default.
-    :param progress: called after each policy; its exceptions propagate.
+    :param progress: callback after each policy; its exceptions propagate.
     :param jobs: as in ``all_of``.
-    :param known: plan with all options in ``domain``, made and evaluated with the same seed.
-    :return: one row per policy and variant: columns ``GAMES``, and scores, the scores of the
-        games (E,).
+    :param known: plan with all options in ``domain``, made with the same seed; None: make one.
+    :return: one row per policy and variant: columns ``GAMES``, and the scores of the games (E,) as
+        ``scores``.
     :raises PlanError: the domain cannot play many games, or the options belong to another game.
     """
     variants = {

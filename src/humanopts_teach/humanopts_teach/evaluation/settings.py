@@ -19,21 +19,21 @@ class EvaluationSettings:
     """
 
     seed: NonNegativeInt = 0
-    strategy: str = STRATEGY  # of start states
+    strategy: str = STRATEGY  # strategy of the start-state choice
     thresholds: Thresholds = field(default_factory=Thresholds)
-    teacher_error_rate: Annotated[float, Field(ge=0, le=1)] | None = None  # None: a person taught
+    teacher_error_rate: Annotated[float, Field(ge=0, le=1)] | None = None  # None: human teacher
     budget: NonNegativeInt = BUDGET  # maximum number of start states per option
-    game_steps: NonNegativeInt = 0  # per plan; 0: the planner's default
-    unstick: bool = True  # whether options that repeat themselves take random moves
+    game_steps: NonNegativeInt = 0  # number per plan; 0: the planner's default
+    unstick: bool = True  # whether options take random actions to leave loops
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as JSON data, without game steps, which each plan contains."""
+        """Return the settings as JSON data, without game steps, which are stored with plans."""
         return {name: value for name, value in asdict(self).items() if name != 'game_steps'}
 
 
 def settings_from_facts(facts: Mapping[str, str]) -> tuple[EvaluationSettings, list[str]]:
     """
-    Read the settings; use the default for each missing or unreadable one.
+    Read the settings; use the default for missing or unreadable ones.
 
     :return: the settings, and a sentence on each default used.
     """

@@ -1,4 +1,4 @@
-"""Parallel work in local processes, which end with the process that started them."""
+"""Parallel work in local processes, which end with their parent process."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed, Executor, ProcessPoolExecutor
@@ -12,7 +12,7 @@ import threading
 from typing import TypeVar
 
 _ENDING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
-_ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # of each process
+_ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # for each process
 Result = TypeVar('Result')
 Jobs = int | Executor
 
@@ -25,10 +25,10 @@ def processes(jobs: int = 0) -> Iterator[Executor | None]:
     :param jobs: number of processes; 0: one per core; 1: only this process (yields None).
     """
     count = jobs or len(os.sched_getaffinity(0))
-    if count == 1:  # starting a process may take longer than a small task
+    if count == 1:  # starting a process can take longer than a small task
         yield None
         return
-    # Spawn: a fork would inherit the locks of this process.
+    # Use spawn, since a fork would inherit the locks of this process.
     executor = ProcessPoolExecutor(count, multiprocessing.get_context('spawn'), _watch_parent)
     try:
         yield executor
@@ -58,11 +58,11 @@ def completed_calls(
     calls: Sequence[Callable[[], Result]], costs: Sequence[float], executor: Executor | None
 ) -> Iterator[tuple[int, Result]]:
     """
-    Yield the index and result of each call as it ends; the costliest calls start first.
+    Yield the index and result of each call in order of completion; the costliest start first.
 
-    :param calls: partial calls of module-level functions, which can be pickled. Their exceptions
+    :param calls: partial calls of module-level functions, which can be pickled; their exceptions
         propagate.
-    :param executor: executor of the calls; None: make them in this process, one by one.
+    :param executor: executor of the calls; None: run them one by one in this process.
     """
     order = sorted(range(len(calls)), key=lambda number: -costs[number])
     if executor is None:
@@ -71,7 +71,7 @@ def completed_calls(
     with _starting():
         numbers = {executor.submit(calls[number]): number for number in order}
     for ended in as_completed(numbers):
-        yield numbers.pop(ended), ended.result()  # drop the result after use
+        yield numbers.pop(ended), ended.result()  # free the result after use
 
 
 def all_of(
@@ -84,8 +84,8 @@ def all_of(
     """
     Return the results of all calls in order; see ``completed_calls`` and ``processes``.
 
-    :param jobs: as in ``processes``; or an executor from there, which may serve several times.
-    :param report: called with the numbers of finished and of all calls, and the last name.
+    :param jobs: as in ``processes``, or an executor from there, which can be reused.
+    :param report: progress callback: finished calls, all calls, name of the last finished call.
     """
     results: dict[int, Result] = {}
     with processes(jobs) if isinstance(jobs, int) else nullcontext(jobs) as executor:
@@ -109,7 +109,7 @@ def _watch_parent() -> None:
 
 @contextmanager
 def _starting() -> Iterator[None]:
-    """Make processes started in this context ignore Ctrl-C and use one thread for computing."""
+    """Make processes started in this context ignore Ctrl-C and compute with one thread."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # inherited by the processes
     threads = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)

@@ -1,4 +1,4 @@
-"""The summary of a demo, ``summary.json``, and differences between live and offline numbers."""
+"""The summary of a demo, ``summary.json``, and differences between live and offline results."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class SummaryError(OSError):
-    """A file could not be written; the text says why."""
+    """A file could not be written; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class PlayedEpisodes:
     """Episodes played by running options."""
 
     episodes: int
-    successes: int  # episodes that ended with the task done
+    successes: int  # episodes in which the task was completed
     fallbacks: int  # primitive actions taken because no option was available
-    random_moves: int  # taken because an option repeated itself
+    random_moves: int  # random actions taken to leave a loop
     mean_return: float | None  # undiscounted
 
 
@@ -48,9 +48,9 @@ class Live:
 
 def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[str, Any]:
     """
-    Return the content of summary.json, without NaN.
+    Return the contents of summary.json, without NaN.
 
-    :param offline: evaluation of the bag alone; it has one teacher.
+    :param offline: evaluation of the bag, which has one teacher.
     :param bag: facts about the recording.
     """
     settings = offline.settings.to_dict()
@@ -71,7 +71,7 @@ def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[
 
 
 def differences(live: Live, offline: BagEvaluation) -> list[str]:
-    """Return a sentence on each difference between the numbers, except seconds."""
+    """Return a sentence on each difference between live and offline numbers, except durations."""
     found = []
     for what, columns, keys, seen, again in (
         (
@@ -104,7 +104,7 @@ def differences(live: Live, offline: BagEvaluation) -> list[str]:
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """
-    Write JSON data atomically: a reader sees the old file or the complete new one.
+    Write JSON data atomically: readers see either the old file or the complete new one.
 
     :raises SummaryError: the folder is missing, full or not writable.
     :raises ValueError: a number is NaN or infinite.
@@ -115,7 +115,7 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """
-    Write a text file atomically: a reader sees the old file or the complete new one.
+    Write a text file atomically: readers see either the old file or the complete new one.
 
     :raises SummaryError: the folder is missing, full or not writable.
     """

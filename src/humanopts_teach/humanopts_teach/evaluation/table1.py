@@ -1,8 +1,8 @@
 """
 Table 1 of the paper: the options named by people, counted in bags.
 
-Section 4: people were asked for buttons that make winning easier and faster, and their answers
-were counted. A study asks the same question; in a lesson, people name the options they teach.
+In section 4, people were asked for buttons that make winning easier and faster, and their answers
+were counted. A study asks the same question. In a lesson, people name the options they teach.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ from humanopts_teach.study.events import Event, event_of, last_attempts
 import numpy as np
 
 STUDY_EVENT = 'humanopts_interfaces/msg/StudyEvent'
-TABLE_1 = {  # share of the participants who named a button, by domain, section 4
+TABLE_1 = {  # section 4: share of the participants who named each button, by domain
     'taxi': {
         'go to passenger and pickup': 0.6,
         'go to destination and dropoff': 0.6,
@@ -52,24 +52,24 @@ class Named:
 
 @dataclass(frozen=True)
 class Button:
-    """The people of a domain who named one option."""
+    """Counts of the people of one domain who named an option."""
 
     option: str
     people: int
     share: float | None  # of the participants of the domain; None: no participants
     share_low: float | None  # Wilson's 95 % interval
     share_high: float | None
-    taught: int  # people who demonstrated it
-    paper: float | None  # share in the paper; None: no such row
-    wordings: tuple[str, ...]  # used by people
+    taught: int  # number of people who demonstrated it
+    paper: float | None  # share in the paper; None: not in the paper
+    wordings: tuple[str, ...]  # names given by people
 
 
 class MergeError(ValueError):
-    """A merge file cannot be used; the text says why."""
+    """A merge file cannot be used; the message gives the reason."""
 
 
 def _plain(name: str) -> str:
-    """Normalize a name: ignore case, spaces and Unicode form."""
+    """Normalise a name: ignore case, spaces and Unicode form."""
     return ' '.join(caseless(name).split())
 
 
@@ -77,9 +77,9 @@ def read_merge(path: Path) -> dict[str, str]:
     """
     Read a merge file: YAML that maps each canonical name to a list of its wordings.
 
-    :return: canonical name by normalized wording.
-    :raises FileError: it cannot be read, or is not YAML.
-    :raises MergeError: it has another structure, or a wording belongs to two names.
+    :return: canonical names by normalised wording.
+    :raises FileError: the file cannot be read, or is not YAML.
+    :raises MergeError: the file has another structure, or a wording belongs to two names.
     """
     values = read_yaml(path)
     if not isinstance(values, dict):
@@ -107,11 +107,11 @@ def read_merge(path: Path) -> dict[str, str]:
 
 def named_options(bags: Sequence[Bag]) -> list[Named]:
     """
-    Return the options named in bags, and the participants.
+    Return the options named by the participants in bags.
 
-    If a part of a study was repeated, perhaps in another bag, the last attempt counts.
+    If a part of a study was repeated, possibly in another bag, the last attempt counts.
 
-    :raises BagError: a bag does not name its domain, or names several.
+    :raises BagError: a bag contains no domain, or several.
     """
     found: dict[tuple[str, str, str], bool] = {}
     suggested: dict[tuple[str, str, str], list[Event]] = {}  # by domain, study and participant
@@ -140,9 +140,9 @@ def named_options(bags: Sequence[Bag]) -> list[Named]:
 
 def domain_of(bag: Bag) -> str:
     """
-    Return the name of the domain of a bag.
+    Return the name of the domain in a bag.
 
-    :raises BagError: the bag does not name its domain, or names several.
+    :raises BagError: the bag contains no domain, or several.
     """
     domains = {name for name, _ in domains_played(bag)}
     if len(domains) != 1:
@@ -156,7 +156,7 @@ class ButtonTable:
 
     domain: str
     people: list[str]
-    rows: list[Button]  # those of the paper in its order, then the others, most frequent first
+    rows: list[Button]  # the paper's rows in its order, then the others, most frequent first
 
 
 def count_named(named: Sequence[Named], canonical: Mapping[str, str]) -> list[ButtonTable]:
@@ -164,7 +164,7 @@ def count_named(named: Sequence[Named], canonical: Mapping[str, str]) -> list[Bu
     Count the people who named each option; each person counts once, even in several bags.
 
     :param canonical: result of ``read_merge``. Other names are equal if they differ only in case
-        and spaces; names from the paper keep its spelling.
+        and spaces; names in the paper keep its spelling.
     :return: one table per domain, in order of appearance.
     """
     tables = []

@@ -19,36 +19,36 @@ if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
 
-LIVE_OPTIONS = {  # known while an option is taught; many are fields of OptionSummary
+LIVE_OPTIONS = {  # known during teaching; mostly fields of OptionSummary
     'participant': 'object',  # code of the person who taught
     'option_name': 'object',
-    'features': 'object',  # names of the features used
+    'features': 'object',  # names of the chosen features
     'method': 'object',  # learning method
     'n_demonstrations': 'int64',  # trajectories
     'n_not_here': 'int64',  # "not here" answers
     'n_questions': 'int64',  # answered questions about runs of the option
     'mean_return_demonstrations': 'float64',  # undiscounted, reward units
     'mean_return_policy': 'float64',  # from the same starts, undiscounted, reward units
-    'evidence': 'object',  # of success: every start, sampled starts or recorded
+    'evidence': 'object',  # basis of success: every start, sampled starts or recorded
     'success': 'float64',  # share of starts that lead to an end like a demonstrated one
-    'agreement': 'float64',  # share of held-out demonstrations that it would repeat
-    'imitation': 'float64',  # share of demonstrations with another end than its own run
+    'agreement': 'float64',  # share of held-out demonstrations that the option would repeat
+    'imitation': 'float64',  # share of demonstrations with an end that the option misses
     'return': 'float64',  # held-out shortfall of the return, as a share of its range
     'initiation': 'float64',  # held-out balanced error of I, 0 to 1
-    'termination': 'float64',  # share of held-out demonstrations that end elsewhere
-    'ended_early': 'int64',  # number of these
+    'termination': 'float64',  # share of held-out demonstrations where the option ends elsewhere
+    'ended_early': 'int64',  # count of these; so are the next two
     'ended_late': 'int64',
     'ended_never': 'int64',
-    'policy_accuracy': 'float64',  # share of states with one of the best actions
-    'classification_accuracy_initiation': 'float64',  # share of states, of I
-    'classification_accuracy_termination': 'float64',  # share of states, of beta
-    'criteria_met': 'bool',  # whether all criteria are met
-    'exam_right': 'int64',  # runs in the newest exam that the person called right
+    'policy_accuracy': 'float64',  # share of states in which the action is optimal
+    'classification_accuracy_initiation': 'float64',  # share of states in which I is right
+    'classification_accuracy_termination': 'float64',  # share of states in which beta is right
+    'criteria_met': 'bool',
+    'exam_right': 'int64',  # runs in the newest exam that were judged right
     'exam_runs': 'int64',
-    'exam_needed': 'int64',  # 0: there is no exam
-    'exams_failed': 'int64',  # exams of earlier versions that ended with a wrong run
-    'learned': 'bool',  # whether criteria and exam are passed
-    'status': 'object',  # the same in words, or what is missing
+    'exam_needed': 'int64',  # required runs; 0: no exam
+    'exams_failed': 'int64',  # failed exams of earlier versions
+    'learned': 'bool',  # whether the criteria are met and the exam is passed
+    'status': 'object',  # the same in words, or the missing conditions
 }
 OPTIONS = {  # one row per demonstration of an option
     **LIVE_OPTIONS,
@@ -62,22 +62,22 @@ OPTIONS = {  # one row per demonstration of an option
     'gain': 'float64',  # return of the policy minus that of the demonstrations, reward units
     'gain_low': 'float64',  # 95 % interval of the gain
     'gain_high': 'float64',  # 95 % interval of the gain
-    'seconds': 'float64',  # time of the person so far
+    'seconds': 'float64',  # time of the person so far, s
 }
-LIVE_PLANS = {  # known while a plan is made
+LIVE_PLANS = {  # known during planning
     'action_set': 'object',  # human or primitive
     'gamma': 'float64',  # discount per step
     'game_steps': 'int64',  # used for sampled models; 0: models are exact
-    'sweeps': 'int64',  # of value iteration
-    'residual': 'float64',  # largest change of the last sweep, reward units
+    'sweeps': 'int64',  # sweeps of value iteration
+    'residual': 'float64',  # largest change in the last sweep, reward units
     'converged': 'bool',  # whether the residual is within the tolerance
-    'episodes': 'int64',  # of its evaluation
+    'episodes': 'int64',  # episodes in the evaluation
     'mean_return': 'float64',  # undiscounted, reward units
     'mean_return_low': 'float64',  # 95 % interval
     'mean_return_high': 'float64',  # 95 % interval
     'mean_discounted_return': 'float64',  # reward units
     'fallbacks': 'int64',  # primitive actions taken because no option could start
-    'random_moves': 'int64',  # taken because an option repeated itself
+    'random_moves': 'int64',  # random actions taken to leave loops
     'outcomes': 'object',  # mean, low and high of each outcome of the domain, by name
 }
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')  # planning time
@@ -85,20 +85,20 @@ PLANS = {  # one row per plan
     'participant': 'object',  # teacher of the options; empty: primitive actions
     **LIVE_PLANS,
     **dict.fromkeys(SECONDS, 'float64'),
-    'exact_mean_return': 'float64',  # over all start states
+    'exact_mean_return': 'float64',  # mean over all start states
 }
 GAMES = {  # one row per policy and variant of a game
-    'setting': 'object',  # variant, such as ghosts=chase; empty: only one
-    'name': 'object',  # of the policy
+    'setting': 'object',  # variant, such as ghosts=chase; empty: there is only one
+    'name': 'object',  # name of the policy
     'kind': 'object',  # plan, chance or rule
     'options': 'object',  # names of its learned options
-    'games': 'int64',  # number of games played
+    'games': 'int64',
     'score': 'float64',  # mean
     'score_low': 'float64',  # 95 % interval
     'score_high': 'float64',  # 95 % interval
     'outcomes': 'object',  # mean, low and high of each outcome of the domain, by name
-    'decisions': 'float64',  # options and actions started per game, mean
-    'fallbacks': 'float64',  # actions chosen per game because no option could start, mean
+    'decisions': 'float64',  # mean of options and actions started per game
+    'fallbacks': 'float64',  # mean of actions per game, if no option could start
     'game_steps': 'int64',  # sampled for planning
     'seconds': 'float64',  # processor time of planning
 }
@@ -108,7 +108,7 @@ def table(columns: Mapping[str, str], rows: Iterable[Any]) -> 'pd.DataFrame':
     """
     Return rows as a table.
 
-    :param columns: types by name.
+    :param columns: column types by name.
     :param rows: values by column; other names are ignored, and missing values are NaN.
     """
     import pandas as pd
@@ -124,7 +124,7 @@ def records(frame: 'pd.DataFrame') -> list[dict[str, Any]]:
 
 
 def rows_of(frame: Any) -> Iterator[Any]:
-    """Yield the rows of a table: ``Index``, and attributes by column."""
+    """Yield the rows of a table, with ``Index`` and columns as attributes."""
     yield from frame.itertuples()
 
 
@@ -151,7 +151,7 @@ def option_row(
     Return the row of a learned option.
 
     :param summary: summary of the option and its demonstrations.
-    :param seconds: time of the person.
+    :param seconds: time of the person, s.
     """
     found = {name: getattr(summary, name, math.nan) for name in OPTIONS}
     found |= {'features': tuple(option.features), 'seconds': seconds}
@@ -183,5 +183,5 @@ def finite(value: float | None) -> float | None:
 
 
 def finite_parts(found: Interval) -> dict[str, float | None]:
-    """Return mean, low and high by name; None for each undefined one."""
+    """Return mean, low and high by name; None if undefined."""
     return {name: finite(getattr(found, name)) for name in ('mean', 'low', 'high')}

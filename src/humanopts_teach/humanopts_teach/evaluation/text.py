@@ -15,7 +15,7 @@ from humanopts_teach.text_table import table
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-MAX_POINTS = 12  # printed per learning curve
+MAX_POINTS = 12  # rows printed per learning curve
 REPRODUCED = {
     True: 'equal to its option file in the bag, to the last digit',
     False: 'NOT equal to its option file in the bag',
@@ -37,7 +37,7 @@ CURVE = {  # printed columns of a learning curve
 
 
 def evaluation_text(evaluation: BagEvaluation) -> str:
-    """Return tables of every option, its learning curve and the plans."""
+    """Return tables of all options, their learning curves and the plans."""
     domain, settings = evaluation.domain, evaluation.settings
     limits = settings.thresholds
     lines = [
@@ -97,12 +97,12 @@ def interval(mean: float, low: float, high: float, digits: int) -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Return a number as text, or - if there is none."""
+    """Return a number as text, or - if it is missing."""
     return '-' if value is None or math.isnan(value) else f'{value:.{digits}g}'
 
 
 def share(value: float) -> str:
-    """Return a percentage, or - if there is none."""
+    """Return a share as a percentage, or - if it is missing."""
     return '-' if math.isnan(value) else f'{100 * value:.1f}%'
 
 

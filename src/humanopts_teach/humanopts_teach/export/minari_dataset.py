@@ -16,26 +16,26 @@ from humanopts_teach.export.tables import ExportError
 import numpy as np
 
 FOLDER = 'MINARI_DATASETS_PATH'  # variable with Minari's dataset folder
-MAX_NAME = 64  # maximum number of characters of a bag's name in its dataset id
+MAX_NAME = 64  # characters of a bag name in a dataset id
 _RESET_EVENT = 'humanopts_interfaces/srv/ResetGame_Event'
 _REQUEST, _RESPONSE = 1, 2  # server events in ServiceEventInfo: REQUEST_RECEIVED, RESPONSE_SENT
-Requests = dict[tuple[int, str], Any]  # reset_game requests by episode number and first state
+Requests = dict[tuple[int, str], Any]  # reset_game requests, by episode number and first state
 
 
 def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
     """
-    Write the episodes recorded from their first state without gaps.
+    Write the episodes that were recorded from their first state without gaps.
 
-    Each episode stores ``options`` for ``reset``: with these and the recorded actions, the
+    Each episode stores ``options`` for ``reset``: with these options and the recorded actions, the
     environment reproduces the recorded observations, rewards and ends. An episode that was cut
     short, such as a completed demonstration, is truncated at its last step, since Minari has no
-    other kind of end.
+    suitable kind of end.
 
     An incomplete dataset is removed.
 
-    :param out: folder of Minari's datasets; also set for the rest of this process.
+    :param out: folder of Minari's datasets; also set in the environment of this process.
     :return: dataset id and number of episodes; omitted episodes are listed in ``Bag.damage``.
-    :raises BagError: the bag does not name its domain, or the domain is not installed.
+    :raises BagError: the bag contains no domain or several, or the domain is not installed.
     :raises ExportError: Minari is not installed, there is nothing to write, or the dataset exists.
     """
     try:
@@ -67,7 +67,7 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
     os.environ[FOLDER] = os.path.abspath(out)  # Minari cannot write to a relative path
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore', UserWarning)  # such as missing authors
+            warnings.simplefilter('ignore', UserWarning)  # such as those about missing authors
             minari.create_dataset_from_buffers(
                 name, buffers, env=spec, data_format='arrow', description=description
             )
@@ -85,7 +85,7 @@ def dataset_name(domain: Domain, bag: Path) -> str:
     """
     Return the dataset id of a bag, unique for each bag name.
 
-    Minari accepts letters, digits, - and _; other names get a digest.
+    Minari accepts letters, digits, - and _; a digest is added to other names.
     """
     name = bag.resolve().name.removesuffix('.mcap')
     of_domain, of_bag = (
@@ -115,14 +115,14 @@ def _reset_options(requests: Requests, episode: Episode) -> dict[str, Any]:
     """Return the ``reset`` options that reproduce an episode's start and random draws."""
     first = episode.transitions[0].state
     request = requests.get((episode.number, first))
-    if request is None:  # not recorded, so random draws cannot be reproduced
+    if request is None:  # not recorded: random draws are not reproducible
         return {'state': first}
     start = {'state': request.start_state} if request.start_state else {}
     return {**start, 'game_seed': request.seed}
 
 
 def _columns(env: Any, episode: Episode) -> dict[str, Any]:
-    """Return observations (T + 1) and actions, rewards and ends (T)."""
+    """Return T + 1 observations, and T actions, rewards and ends."""
     domain: Domain = env.domain
     _, *taken = episode.transitions
     truncations = [each.truncated for each in taken]

@@ -1,4 +1,4 @@
-"""The option runs of a bag, as ``planner`` keeps and reads them."""
+"""The option runs of a bag, in the format of ``planner``."""
 
 from functools import partial
 from pathlib import Path
@@ -25,8 +25,8 @@ def write_option_runs(bag: Bag, out: Path) -> tuple[Path, int]:
     Add the option runs of a bag to a file of runs.
 
     :param out: folder of the file; created if missing.
-    :return: the file, and the number of runs that were not in it before.
-    :raises BagError: the bag does not name its domain.
+    :return: the file, and the number of added runs.
+    :raises BagError: the bag contains no domain, several, or an invalid one.
     :raises OSError: the file cannot be read or written.
     """
     domain = read_description(bag)

@@ -1,5 +1,5 @@
 """
-Export of a bag as files: tables of what was recorded, and attachments.
+Export of a bag as files: tables of its contents, and attachments.
 
 Rows are written while the bag is read, so that even long bags need little memory.
 """
@@ -54,7 +54,7 @@ _JUDGED = {
     **dict.fromkeys(('option_version', 'uuid', 'states', 'actions'), str),
 }
 _OUTCOMES = dict.fromkeys(('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'), str)
-Columns = Mapping[str, type]  # int, float, bool or str, which includes lists as JSON
+Columns = Mapping[str, type]  # int, float, bool or str (also for lists as JSON)
 
 
 class ExportError(ValueError):
@@ -78,9 +78,9 @@ def bag_tables(bag: Bag) -> dict[str, Table]:
     """
     Return the tables steps, demonstrations, judged_runs, options and plans.
 
-    Runs of the machine that the person judged are not among the demonstrations.
+    The table of demonstrations excludes judged runs of the machine.
 
-    :raises BagError: the bag does not name its domain.
+    :raises BagError: the bag contains no domain, several, or an invalid one.
     """
     domain = read_description(bag)
     features: Columns = {
@@ -108,7 +108,7 @@ def bag_tables(bag: Bag) -> dict[str, Table]:
 
 
 def _columns(kind: type) -> dict[str, type]:
-    """Return the fields of a dataclass as columns; compound values are text."""
+    """Return the fields of a dataclass as columns; compound values become text."""
     hints = get_type_hints(kind)
     return {
         f.name: hints[f.name] if hints[f.name] in (int, float, bool) else str for f in fields(kind)
@@ -116,7 +116,7 @@ def _columns(kind: type) -> dict[str, type]:
 
 
 def _steps(bag: Bag, domain: ActableDomain) -> Iterator[Sequence[Any]]:
-    """Yield a row for each recorded state and the preceding step, with features in words."""
+    """Yield a row for each recorded state and the preceding step, with feature values in words."""
     actors, words = read_actors(bag), [cache(partial(_word, each)) for each in domain.features]
     for number, episode in enumerate(read_episodes(bag), start=1):
         for at in episode.transitions:
@@ -155,7 +155,7 @@ def _run(demo: Demonstration, columns: Iterable[str]) -> Sequence[Any]:
 
 
 def _plans(bag: Bag, columns: Iterable[str]) -> Iterator[Sequence[Any]]:
-    """Yield the results of plans."""
+    """Yield a row for each plan."""
     for recorded in bag.genuine(PLAN_RESULT):
         names = constants(bag.topics[recorded.topic].schema, 'STATUS_')
         if (result := recorded.message) is not None:
@@ -167,9 +167,9 @@ def write_tables(
     tables: Mapping[str, Table], out: Path, kind: str, *, excel: bool = False
 ) -> list[Path]:
     """
-    Write a file for each table; unknown values are empty.
+    Write a file for each table; unknown values become empty.
 
-    :param kind: format: csv (UTF-8 with a header row) or parquet.
+    :param kind: file format: csv (UTF-8 with a header row) or parquet.
     :param excel: whether to write a byte order mark in CSV files.
     :raises ExportError: pyarrow, required for Parquet, is not installed.
     :raises OSError: the folder cannot be written.
@@ -200,7 +200,7 @@ def _write_parquet(table: Table, path: Path) -> None:
 
 
 def _plain(values: Iterable[Any]) -> list[Any]:
-    """Convert lists to JSON and NaN to None, also within lists."""
+    """Convert lists to JSON and NaN to None, including within lists."""
     known = map(_known, values)
     return [json.dumps(v, ensure_ascii=False) if isinstance(v, list) else v for v in known]
 
@@ -215,7 +215,7 @@ def write_attached(bag: Bag, out: Path) -> list[Path]:
     """
     Write every intact attached file to a folder, under its own name.
 
-    :raises ExportError: there are no attachments, none is intact, or a name leads outside the
+    :raises ExportError: there are no attachments, none is intact, or a name points outside the
         folder or already exists there.
     :raises OSError: the folder cannot be written.
     """

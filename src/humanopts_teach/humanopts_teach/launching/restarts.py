@@ -13,7 +13,7 @@ _SERVER_GONE = 255  # exit status in multiprocessing of a process that lost its 
 def describe_exit(status: int) -> str:
     """Return an exit status in words; -N means signal N."""
     if status == _SERVER_GONE:
-        return 'the process that it was forked from was killed'
+        return 'its parent process, the fork server, was killed'
     return f'by signal {signal.Signals(-status).name}' if status < 0 else f'exit status {status}'
 
 

@@ -32,7 +32,7 @@ class NodeReport:
     def fault(self) -> str:
         """The fault, in words; empty: none."""
         if self.stopped:
-            return f'is stopped; kill -CONT {self.pid} lets it go on'
+            return f'is stopped; kill -CONT {self.pid} resumes it'
         if self.served and self.answer is None:
             return _SILENT
         if self.state == 'paused':
@@ -64,7 +64,7 @@ class RecorderReport:
         if self.missing:
             return f'{self.missing} messages are missing in the bag'
         if not self.complete:
-            return 'the recorder has not got every topic'
+            return 'the recorder still lacks some topics'
         little = self.disk_left is not None and self.disk_left < LITTLE_DISK
         return f'{decimal(self.disk_left or 0)} are left on the disk' if little else ''
 

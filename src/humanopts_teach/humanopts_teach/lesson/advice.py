@@ -43,7 +43,7 @@ def advice(
     if phase in (Phase.READY, Phase.FINISHED) and stuck and not spent:
         hint = (
             f'The plan got stuck in {stuck} of {lesson.trial_games} games while running '
-            f"'{lesson.option_name}', or in need of it: show what to do there."
+            f"'{lesson.option_name}', or where it was needed: show what to do there."
         )
     if missing is not None:
         hint = _WITHOUT_STARTS.get(phase, hint)

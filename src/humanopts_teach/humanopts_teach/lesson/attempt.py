@@ -122,7 +122,9 @@ class Attempt:
             detail = 'only the machine has moved: drive, or say that its steps count as shown'
             raise RefusalError(RequestStatus.NO_STEPS, detail)
         if verdict is Verdict.NOT_HERE and last > self.machine_steps:
-            detail = f'steps were taken ({last}), so it is not "not here": say done, or discard'
+            detail = (
+                f'steps were taken ({last}), so "not here" is impossible: say done, or discard'
+            )
             raise RefusalError(RequestStatus.STEPS_TAKEN, detail)
 
     def shown(self, request: EndDemonstration) -> tuple[list[Transition], int]:

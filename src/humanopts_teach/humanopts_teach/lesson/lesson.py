@@ -414,9 +414,9 @@ class Lesson:
             self._book.event('option', name, ask_again=again, method=request.method),
         )
         self._switch_to(self._book.history.options[name])
-        text = f'{"begun" if known is None else "going on with"}: {name}'
+        text = f'{"new option" if known is None else "continuing"}: {name}'
         if derived:
-            text += f'; it is also asked about {", ".join(derived)}'
+            text += f'; also asked about: {", ".join(derived)}'
         return _ok(text, resumed=known is not None)
 
     def _switch_to(self, option: OptionHistory | None) -> None:

@@ -7,7 +7,7 @@ _ADVICE = 'Everything taught so far is on disk: quit, and the same command conti
 SILENT = (
     'the recorder does not respond any more, and the bag may lack the last seconds. ' + _ADVICE
 )
-AGAIN = 'another recorder has come, and gets the topics'
+AGAIN = 'another recorder is subscribing to the topics'
 
 
 @dataclass(slots=True)

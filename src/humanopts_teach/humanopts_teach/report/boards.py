@@ -1,4 +1,4 @@
-"""Drawings of the values and policies of plans on the board."""
+"""Drawings of the values and policies of plans on boards."""
 
 from collections.abc import Mapping
 import string
@@ -15,16 +15,16 @@ from matplotlib.patches import Rectangle
 import numpy as np
 from numpy.typing import NDArray
 
-ARROWS = {'up': '↑', 'down': '↓', 'left': '←', 'right': '→'}  # by key
-MAX_MARKED = 24  # rows or columns up to which every cell shows its choice
-MAX_VECTOR_CELLS = 900  # boards of more cells are drawn as a bitmap
+ARROWS = {'up': '↑', 'down': '↓', 'left': '←', 'right': '→'}  # symbols by key
+MAX_MARKED = 24  # maximum number of rows or columns for which cells show their choices
+MAX_VECTOR_CELLS = 900  # larger boards are drawn as bitmaps
 COLORS = 'cividis'
 LETTERS = string.ascii_uppercase + string.ascii_lowercase
 
 
 def board_figures(plans: Mapping[str, ExactPlan], name: str) -> list[tuple[str, str]]:
     """
-    Return SVG and caption for each board slice and plan, slice by slice, on one value scale.
+    Return SVG and caption for each board slice and plan, ordered by slice, on one value scale.
 
     :param plans: plans of one domain, by name.
     :param name: prefix of the identifiers.
@@ -50,7 +50,7 @@ def board_figures(plans: Mapping[str, ExactPlan], name: str) -> list[tuple[str, 
 
 
 def geometry(domain: Domain, layout: BoardSlice) -> Board:
-    """Return the blocks and walls around the cells of a layout."""
+    """Return the blocks and walls of the board of a layout."""
     rows, cols = layout.states.shape
     board = board_of(domain, domain.reset(generator(0, 'board')), ())
     return board if board.rows else Board(rows, cols)

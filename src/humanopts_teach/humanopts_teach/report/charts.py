@@ -26,7 +26,7 @@ import numpy as np
 import pandas as pd
 
 SIZE = (5.0, 2.9)  # inches
-MARGINS = {'left': 0.15, 'right': 0.985, 'bottom': 0.165, 'top': 0.9}  # shares; fit six digits
+MARGINS = {'left': 0.15, 'right': 0.985, 'bottom': 0.165, 'top': 0.9}  # shares; six digits fit
 MAX_MARKERS = 30  # per curve
 LEARNING = {  # title and unit of each chart
     'success': ('Success: reaches an end like a demonstrated one', 'share of starts'),
@@ -41,7 +41,7 @@ ACCURACIES = {
     'classification_accuracy_initiation': 'I',
     'classification_accuracy_termination': 'β',
 }
-CURVES: tuple[dict[str, Any], ...] = (  # coinciding curves of a chart stay visible
+CURVES: tuple[dict[str, Any], ...] = (  # coinciding curves stay visible
     {'color': SERIES[0], 'marker': 'o', 'ms': 3.5},
     {'color': SERIES[1], 'marker': 's', 'ms': 7, 'mfc': 'none', 'ls': '--', 'lw': 1.1},
     {'color': SERIES[3], 'marker': '^', 'ms': 3.5, 'ls': ':', 'lw': 1.1},
@@ -50,7 +50,7 @@ STAGES = dict(zip(SECONDS, (('policy tables', 0), ('models', 1), ('sweeps', 3)))
 MARKERS = 'osD^'
 WIDTH, ROW_HEIGHT = 5.6, 0.33  # inches
 CLEARED = 'cleared'
-MAX_VALUES = 20_000_000  # largest number of states times sweeps for recomputing sweeps
+MAX_VALUES = 20_000_000  # maximum of states times sweeps for recomputing sweeps
 
 
 @contextmanager
@@ -78,7 +78,7 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
     """
     Return one SVG per criterion and, if known, one of the accuracies and one of the gain.
 
-    "Not here" answers yield several rows with the same number of trajectories: draw the last.
+    "Not here" answers yield several rows with the same number of trajectories; the last is drawn.
     """
     points = option.learning[option.learning['n_demonstrations'] > 0]
     points = points.drop_duplicates('n_demonstrations', keep='last').set_index('n_demonstrations')
@@ -106,7 +106,7 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
             axes = work.axes
             for style, (label, curve) in zip(CURVES, curves.items()):
                 if len(known := curve.dropna()):
-                    every = -(-len(known) // MAX_MARKERS)  # keeps markers from overlapping
+                    every = -(-len(known) // MAX_MARKERS)  # limits the markers
                     axes.plot(known.index, known, markevery=every, label=str(label), **style)
             if part in criteria:
                 if curves.isna().all(axis=None):
@@ -123,7 +123,7 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
                 axes.axhline(0, color=MUTED, lw=0.8)
             axes.set_xlim(0, points.index.max() + 0.6)
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-            if axes.get_legend_handles_labels()[0]:  # otherwise nothing was measured
+            if axes.get_legend_handles_labels()[0]:  # empty if nothing was measured
                 axes.legend(loc='best')
             work.figure.set_layout_engine(None)  # layout would take as long as drawing
             work.figure.subplots_adjust(**MARGINS)
@@ -132,7 +132,7 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
 
 
 def _draw_threshold(axes: Axes, criterion: Criterion, values: pd.DataFrame) -> None:
-    """Shade the region where a criterion is met, beside the values drawn."""
+    """Draw the threshold of a criterion, and shade the region in which it is met."""
     limit = criterion.threshold
     if limit is not None:
         side = 'above' if criterion.at_least else 'below'
@@ -146,7 +146,7 @@ def planning_figures(plans: pd.DataFrame, name: str) -> list[str]:
     """
     Return figures of the planning time and, if measured, of the return, by action set.
 
-    :param plans: plans by name; columns ``PLANS``.
+    :param plans: table by name, columns ``PLANS``.
     """
     if plans.empty:
         return []
@@ -202,7 +202,7 @@ def _intervals(
     """
     Draw means and their intervals, if any, by name and series.
 
-    :param rows: columns mean, low, high, series; by name.
+    :param rows: table by name: mean, low, high, series.
     """
     names, series = list(rows.index.unique()), list(rows['series'].unique())
     size = WIDTH, 1.2 + row_height * len(names)
@@ -229,13 +229,13 @@ def _intervals(
 
 
 def _style(index: int) -> dict[str, Any]:
-    """Return colour and marker of a series."""
+    """Return the colour and marker of a series."""
     return {'color': SERIES[index % len(SERIES)], 'marker': MARKERS[index % len(MARKERS)]}
 
 
 def sweep_figure(plans: Mapping[str, ExactPlan], name: str) -> str:
     """
-    Return a figure of the residual of each sweep; empty without plans or if it would take long.
+    Return a figure of the residual of each sweep; empty without plans or if computing takes long.
 
     :param plans: plans with exact models, by name; each is recomputed sweep by sweep.
     """
@@ -249,7 +249,7 @@ def sweep_figure(plans: Mapping[str, ExactPlan], name: str) -> str:
             model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
             history = value_history(model, max_sweeps=plan.solution.sweeps)  # (sweeps + 1, S)
             residual = np.abs(np.diff(history, axis=0)).max(axis=1)
-            changed = np.flatnonzero(residual)  # the last sweep may change no value
+            changed = np.flatnonzero(residual)  # the last residual can be 0
             text = f'{called}: {len(residual)} sweeps'
             axes.plot(1 + changed, residual[changed], ms=3, label=text, **_style(index))
         low, high = axes.get_ylim()

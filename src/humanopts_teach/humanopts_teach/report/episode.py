@@ -19,11 +19,11 @@ from humanopts_teach.bags.reader import Bag
 from humanopts_teach.board_html import board_html
 from humanopts_teach.report.pages import MINUS
 
-COLOURS = 4  # of options, CSS classes o0 to o3
-MAX_PICTURES = 60  # longer episodes show only the ends of runs
-FIRST = 40  # leading pictures if there are still too many; the rest are the last ones
-MIN_WIDTH = 10.6  # rem
-REM = 0.49  # width per character of a board
+COLOURS = 4  # for options, CSS classes o0 to o3
+MAX_PICTURES = 60  # longer episodes show only the ends of option runs
+FIRST = 40  # leading pictures of a longer selection; the last ones follow
+MIN_WIDTH = 10.6  # minimum width of a board, rem
+REM = 0.49  # rem, width per character of a board
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 
 
@@ -32,19 +32,19 @@ class Frame:
     """One step of an episode."""
 
     state: str  # in the domain's notation
-    action: str = ''  # leading to this state; empty in the first frame
+    action: str = ''  # action before this state; empty in the first frame
     reward: float = 0.0
     option: str = ''  # running option; empty: none
-    ends_run: bool = False  # the run of the option ended here
+    ends_run: bool = False  # whether the option's run ended here
 
 
 def read_last_episode(bag: Bag) -> list[Frame]:
     """Return the last episode completed by learned options; empty: none."""
-    under_way, results = 0, list[Any]()  # current episode and its results
+    under_way, results = 0, list[Any]()  # current episode, its results
     number, runs = 0, list[Any]()
     for recorded in bag.genuine(_OPTION_RESULT):
         message = recorded.message
-        if message is None or not message.episode:  # damaged, or refused
+        if message is None or not message.episode:  # damaged or refused
             continue
         if under_way != message.episode:
             under_way, results = message.episode, []
@@ -62,8 +62,8 @@ def _frames(episode: Episode, runs: Sequence[Any], actors: Actors) -> list[Frame
     """
     Return the frames, step by step.
 
-    :param runs: OptionResult messages; one without an option name comes from modules.
-    :param actors: modules that sent the commands.
+    :param runs: OptionResult messages; those without an option name come from modules.
+    :param actors: module that sent each command.
     """
     frames = []
     for at in episode.transitions:
@@ -76,14 +76,14 @@ def _frames(episode: Episode, runs: Sequence[Any], actors: Actors) -> list[Frame
 
 @dataclass(frozen=True)
 class ShownFrame:
-    """One state, ready for the page."""
+    """One state, formatted for the page."""
 
     number: int  # step
     board: str  # HTML
     option: str
     action: str
     reward: str
-    colour: str  # CSS class, the same for the same option
+    colour: str  # CSS class, the same for equal options
 
 
 @dataclass(frozen=True)
@@ -91,16 +91,16 @@ class Strip:
     """A whole episode."""
 
     pictures: Sequence[ShownFrame]
-    steps: int  # of the episode
-    whole: bool  # whether every step is shown, not only the ends of runs
-    omitted: int  # ends of runs not shown
-    last: int  # pictures after those left out
-    width: float  # of a board, rem
+    steps: int  # of the whole episode
+    whole: bool  # whether every step is shown, not only those that end runs
+    omitted: int  # omitted ends of runs
+    last: int  # pictures after the omitted ones
+    width: float  # width of a board, rem
 
 
 def episode_strip(domain: Domain, frames: Sequence[Frame]) -> Strip:
     """
-    Draw an episode: every step of a short one, the ends of runs of a long one.
+    Draw an episode: every step if it is short, otherwise the ends of runs.
 
     :raises StateError: a state is not a state of the domain.
     """
@@ -130,7 +130,7 @@ def episode_strip(domain: Domain, frames: Sequence[Frame]) -> Strip:
 
 
 def _ends(frames: Sequence[Frame]) -> list[int]:
-    """Return the first frame and the last frame of each run."""
+    """Return the indices of the first frame and each run's last frame."""
     later = [*frames[1:], Frame('')]
     return [
         number

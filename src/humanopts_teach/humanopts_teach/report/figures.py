@@ -1,4 +1,4 @@
-"""Figures: SVG that takes its colours from the light or dark page, and files."""
+"""Figures: SVG with the colours of the light or dark page, and separate files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
-# Placeholders for the colours of the page; the SVG refers to them by CSS variables.
+# Placeholders for the colours of the page; in the SVG, CSS variables replace them.
 INK, MUTED, GRID, PAPER = '#010101', '#020202', '#030303', '#040404'
 SERIES = ('#0101a1', '#0101a2', '#0101a3', '#0101a4', '#0101a5', '#0101a6')
 VARIABLES = {
@@ -82,7 +82,7 @@ class Drawing:
 
     @property
     def axes(self) -> Axes:
-        """The only plot of the figure."""
+        """The single plot of the figure."""
         return self.figure.axes[0] if self.figure.axes else self.figure.add_subplot()
 
 
@@ -93,19 +93,19 @@ def drawing(name: str, label: str, width: float, height: float) -> Iterator[Draw
 
     :param name: prefix that keeps the identifiers in the SVG unique on the page.
     :param label: text alternative for screen readers.
-    :param width: width in inches, as ``height``; the page scales it.
+    :param width: width in inches, like ``height``; the page scales the figure.
     """
     with matplotlib.rc_context({**SETTINGS, 'svg.hashsalt': name}):
         work = Drawing(width, height)
         yield work
         work.svg = _svg(work.figure, name, label)
-        work.figure.clear()  # break reference cycles, which keep a megabyte
+        work.figure.clear()  # break reference cycles, which hold a megabyte
 
 
 def _svg(figure: Any, name: str, label: str) -> str:
-    """Return an ``<svg>`` element scaled and coloured by the page."""
+    """Return an ``<svg>`` element that the page scales and colours."""
     file = io.StringIO()
-    canvas: Any = FigureCanvasSVG(figure)  # draws once; ``savefig`` draws twice
+    canvas: Any = FigureCanvasSVG(figure)  # draws once, unlike ``savefig``
     canvas.print_svg(file, metadata={'Date': None, 'Creator': None})
     text = file.getvalue()
     text = text[text.index('<svg') :]

@@ -1,4 +1,4 @@
-"""The findings of a report: sentences derived from its numbers with findings.txt."""
+"""The findings of a report: sentences made from its numbers with the template findings.txt."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -18,7 +18,7 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-ALLOWED = 0.02  # largest loss of options against primitive actions, share of the return
+ALLOWED = 0.02  # maximum loss against primitive actions, share of the return
 
 
 def findings(
@@ -34,7 +34,7 @@ def findings(
     plans = plans_by_name(plans_shown(evaluation, live))
     text = _words().all(evaluation, live, plans, topics, different)
     marks = {mark: good for good, mark in MARKS.items()}
-    # A line without a mark continues the previous finding.
+    # A line that does not start with a mark continues the previous finding.
     _, *parts = re.split(rf'^([{"".join(marks)}]) ', text, flags=re.M)
     return [
         Finding(marks[mark], ' '.join(text.split())) for mark, text in zip(parts[::2], parts[1::2])
@@ -42,14 +42,14 @@ def findings(
 
 
 def plans_shown(evaluation: BagEvaluation, live: Live | None) -> 'pd.DataFrame':
-    """Return the plans by name, columns ``PLANS``: live ones if known."""
+    """Return the plans by name, columns ``PLANS``: live plans if known."""
     if live is None:
         return evaluation.plan_table
     return live.plans.set_axis([*live.plans['action_set']])
 
 
 def plans_by_name(plans: 'pd.DataFrame') -> dict[str, Any]:
-    """Return the rows of plans by name: attributes by column, and the seconds of planning."""
+    """Return the rows of plans by name: columns and planning time (s) as attributes."""
     plans = plans.assign(seconds=plans[[*SECONDS]].sum(axis=1))
     return {str(row.Index): row for row in plans.itertuples()}
 
@@ -75,7 +75,7 @@ def _words() -> Any:
 
 
 def _lost(loss: Interval) -> str:
-    """Return a loss within each episode in words."""
+    """Describe a loss, paired by episode, in words."""
     if loss.low == loss.high == 0.0:
         return 'lose nothing'
     words = {True: 'lose', False: 'gain', None: 'are not distinguishable: they lose'}

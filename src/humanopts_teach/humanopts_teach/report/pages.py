@@ -1,4 +1,4 @@
-"""Shared parts of all pages: style sheet, templates, findings and number formatting."""
+"""Parts shared by all pages: style sheet, templates, findings and number formatting."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -11,22 +11,22 @@ from humanopts_learner.intervals import Interval
 import jinja2
 from markupsafe import Markup
 
-DASH = '\N{EN DASH}'  # for a missing number
+DASH = '\N{EN DASH}'  # in place of a missing number
 MINUS = '\N{MINUS SIGN}'
 MARKS = {True: '✓', False: '✗', None: '·'}  # good, bad, neither
 
 
 @cache
 def page_style() -> str:
-    """Return the style sheet of every page."""
+    """Return the common style sheet of all pages."""
     return files('humanopts_teach.report').joinpath('style.css').read_text('utf-8')
 
 
 def render(package: str, name: str, values: dict[str, Any]) -> str:
     """
-    Render a page from a template of a package, which may extend ``base.html`` of this one.
+    Render a page from a template of a package; it may extend ``base.html`` of this package.
 
-    Templates can use the number formatters of this module, and ``markup`` for HTML or SVG; all
+    Templates can use the number formatters of this module, and ``markup`` for HTML or SVG. All
     other values are escaped.
     """
     return templates(package).get_template(name).render(values)
@@ -38,7 +38,7 @@ def templates(package: str) -> jinja2.Environment:
     packages = dict.fromkeys((package, 'humanopts_teach.report'))
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(each, '') for each in packages]),
-        autoescape=jinja2.select_autoescape(),  # HTML, not text
+        autoescape=jinja2.select_autoescape(),  # for HTML, not for text
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -59,7 +59,7 @@ def templates(package: str) -> jinja2.Environment:
 
 @dataclass(frozen=True)
 class Finding:
-    """One sentence, and whether it is a good result; None: neither good nor bad."""
+    """One sentence, and whether the result is good; None: neither good nor bad."""
 
     good: bool | None
     text: str
@@ -71,14 +71,14 @@ class Finding:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Format a number; return a dash if there is none."""
+    """Format a number; return a dash if it is missing."""
     if value is None or value != value:
         return DASH
     return f'{value:.{digits}g}'.replace('-', MINUS)
 
 
 def limits(found: Interval, digits: int = 4) -> str:
-    """Format an interval in brackets; empty if there is none."""
+    """Format an interval in brackets; empty if it is undefined."""
     if math.isnan(found.low):
         return ''
     return f'({number(found.low, digits)} to {number(found.high, digits)})'
@@ -95,5 +95,5 @@ def counted(count: int, thing: str) -> str:
 
 
 def percent(value: float | None) -> str:
-    """Format a share as a percentage; return a dash if there is none."""
+    """Format a share as a percentage; return a dash if it is missing."""
     return DASH if value is None else f'{value:.1%}'.replace('.0%', '%')

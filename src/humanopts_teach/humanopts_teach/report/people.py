@@ -12,12 +12,12 @@ from humanopts_learner.intervals import Interval
 from humanopts_teach.board_html import board_html
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 
-MAX_PICTURES = 12  # of runs that went wrong
+MAX_PICTURES = 12  # of wrong runs
 
 
 def shown_demonstrations(evaluation: BagEvaluation) -> list[tuple[Demonstration, str]]:
     """
-    Return each demonstration once, with a word on its use.
+    Return each demonstration once, with a description of its use.
 
     Sorted by person and option in order of appearance, then by number.
     """
@@ -29,7 +29,7 @@ def shown_demonstrations(evaluation: BagEvaluation) -> list[tuple[Demonstration,
 
 
 def judged_runs(evaluation: BagEvaluation) -> list[tuple[Demonstration, bool]]:
-    """Return each judged run by option, and whether the newest version of the option ran."""
+    """Return the judged runs by option, and whether each is from the option's newest version."""
     found = []
     for each in evaluation.options:
         used = [d for d in evaluation.demonstrations if d.uuid in each.option.uuids]

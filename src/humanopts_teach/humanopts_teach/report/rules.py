@@ -15,7 +15,7 @@ LINES_SHOWN_OPEN = 60
 
 @dataclass(frozen=True)
 class TreeRules:
-    """One tree, ready for the page."""
+    """One tree, formatted for the page."""
 
     part: str  # initiation, termination or policy
     depth: int
@@ -26,7 +26,7 @@ class TreeRules:
 
 
 def option_rules(option: LearnedOption, domain: Domain) -> list[TreeRules]:
-    """Return the three trees of an option, the policy last."""
+    """Return the three trees of an option, with the policy last."""
     trees: dict[str, tuple[Tree, Sequence[str], Sequence[EncodedFeature]]] = {
         'initiation': (option.initiation, MEMBERS['initiation'], option.encoding),
         'termination': (option.termination, MEMBERS['termination'], option.encoding),
@@ -49,7 +49,7 @@ def tree_lines(
     """
     Return the tree as indented lines, one per branch.
 
-    :param classes: text of each class, (K,).
+    :param classes: name of each class, (K,).
     :param encoding: encoding of the features used by the tree.
     """
 
@@ -71,7 +71,7 @@ def tree_lines(
 
 
 def _test(column: EncodedFeature, threshold: float, domain: Domain) -> tuple[str, str]:
-    """Return the test in words: above the threshold (right branch), and otherwise (left)."""
+    """Return a test in words: for the right branch (above the threshold) and the left one."""
     name = plain_name(column.feature)
     feature = feature_columns(domain, [column.feature])[0].feature
     values = feature.values

@@ -33,7 +33,7 @@ from humanopts_teach.report.people import (
 )
 from humanopts_teach.report.rules import option_rules
 
-MEASURES = (  # column of ``OPTIONS``, its label, whether it is a share
+MEASURES = (  # column of ``OPTIONS``, its label, and whether it is a share
     ('n_demonstrations', 'demonstrations', False),
     ('n_questions', 'answers about its runs', False),
     ('exam_right', 'right runs in the exam', False),
@@ -51,25 +51,25 @@ MEASURES = (  # column of ``OPTIONS``, its label, whether it is a share
 
 @dataclass(frozen=True)
 class ReportData:
-    """One report; empty parts are omitted."""
+    """The contents of a report; empty parts are omitted."""
 
     title: str
     evaluation: BagEvaluation
     live: Live | None = None  # numbers from the running graph
-    frames: Sequence[Frame] = ()  # one episode
+    frames: Sequence[Frame] = ()
     topics: Sequence[TopicRow] = ()
-    provenance: Mapping[str, str] = field(default_factory=dict)  # name -> text, such as versions
+    provenance: Mapping[str, str] = field(default_factory=dict)  # texts by name, such as versions
 
 
 def write_evaluation_report(
     path: Path, evaluation: BagEvaluation, bag: Bag | None = None, live: Live | None = None
 ) -> ReportData:
     """
-    Write a self-contained report that needs no network.
+    Write a self-contained report.
 
     :param bag: source of the recording data and the last episode; None: unknown.
     :param live: numbers from the running graph; None: unknown.
-    :return: the content of the report.
+    :return: contents of the report.
     :raises SummaryError: the file cannot be written.
     :raises StateError: a recorded state is not a state of the domain.
     """
@@ -86,13 +86,13 @@ def write_evaluation_report(
 
 def render_report(data: ReportData) -> str:
     """
-    Return the page.
+    Return the HTML of a report.
 
     :raises StateError: a state of the episode is not a state of the domain.
     """
     evaluation, live = data.evaluation, data.live
     plans = plans_shown(evaluation, live)
-    episode = episode_strip(evaluation.domain, data.frames)  # first, since it can fail
+    episode = episode_strip(evaluation.domain, data.frames)  # drawn first, since it can fail
     exact = {
         name: found.plan
         for name, found in evaluation.plans.items()

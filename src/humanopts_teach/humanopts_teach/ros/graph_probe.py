@@ -86,8 +86,8 @@ def check_free(namespace: str, names: Collection[str]) -> None:
             leaving = (leaving or now) if present else 0.0
             if present and now > leaving + _LEAVING:
                 raise OccupiedError(
-                    f'{", ".join(present)} runs already in ROS_DOMAIN_ID {domain_id()}, namespace '
-                    f'{namespace}, started by no launch of this machine; stop it, or choose '
+                    f'{", ".join(present)} already runs in ROS_DOMAIN_ID {domain_id()}, namespace '
+                    f'{namespace}, not started by a launch on this machine; stop it, or choose '
                     'another --namespace or ROS_DOMAIN_ID'
                 )
             all_found = len(found) >= _n_processes(node) >= len(_participants_here())

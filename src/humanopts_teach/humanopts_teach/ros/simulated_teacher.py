@@ -62,7 +62,7 @@ class SimulatedTeacherNode(NodeBase):
         self._deadline = self.setting(
             'deadline',
             120.0,
-            'longest wait for anything, s; the lesson waits for the learner in it',
+            'maximum wait for any answer, s, including the time for learning',
             PATIENCE,
         )
         self._teacher: SimulatedTeacher | None = None

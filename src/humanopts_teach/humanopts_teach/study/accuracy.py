@@ -19,10 +19,10 @@ PAPER_DEMONSTRATIONS = 40  # section 7.1, figure 2: trajectories for acceptable 
 PAPER_MINUTES = {'taxi': 15.0, 'pacman': 20.0}  # section 7.1: upper limits of the average
 COLUMNS = (
     *('domain', 'condition', 'option', 'participant', 'demonstrations'),
-    'policy',  # share of states in which it takes one of the best actions
-    'classification',  # share of states classified as by the reference option, mean of I and beta
-    'return',  # mean of runs from states in which it can start; only after the last demonstration
-    'best_return',  # the same of the reference option
+    'policy',  # share of states in which the option's action is one of the best
+    'classification',  # share of states classified like the reference option, mean of I and beta
+    'return',  # mean return from the reference option's I; only after the last demonstration
+    'best_return',  # mean return of the reference option from its I
 )
 
 
@@ -30,10 +30,10 @@ def accuracy_table(data: StudyData, participants: Collection[str]) -> pd.DataFra
     """
     Return a row for each demonstration of an option that has a reference option.
 
-    Each option of the paper's games is learned again from its first demonstrations.
+    Each option of the paper's games is relearned from its first demonstrations.
 
-    :param participants: codes of those who count.
-    :return: ``COLUMNS``.
+    :param participants: codes of the participants to include.
+    :return: columns ``COLUMNS``.
     """
     make = cache(lambda name, parameters: make_domain(name, json.loads(parameters)))
     rows = list[dict[str, Any]]()
@@ -59,7 +59,7 @@ def _curve(given: Sequence[Demonstration], domain: Domain, seed: int) -> list[di
     """
     Return the accuracies of an option after each of its trajectories.
 
-    :param given: at least one trajectory, and "not here" answers.
+    :param given: at least one trajectory, and any "not here" answers.
     """
     rows = list[dict[str, Any]]()
     for count, demo in enumerate(given, start=1):

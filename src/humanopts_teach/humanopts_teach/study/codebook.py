@@ -29,7 +29,7 @@ class Column:
 
 @cache
 def codebook() -> dict[str, dict[str, Column]]:
-    """Return the columns of each table, by name; the common ones come first."""
+    """Return the columns of each table, by name, common columns first."""
     tables = read_yaml(Path(__file__).parent / 'codebook.yaml')
     common = tables.pop('every table')
     return {

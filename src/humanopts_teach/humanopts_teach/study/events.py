@@ -27,16 +27,16 @@ from pydantic import (
 EventKind = Literal[
     'began',  # the participant started the study
     'part began',  # started or restarted: earlier answers and buttons no longer count
-    'still there',  # keep-alive: after a crash, the time until this event counts
+    'still there',  # keep-alive; after a crash, time is counted up to the last one
     'part left',  # left unfinished
     'part ended',
-    'answer',  # of a question; the last one counts
-    'attention',  # an attention check, when its questionnaire ended
-    'client',  # the participant's browser, at each arrival
-    'idle',  # without a key, until the part was left or a key came
+    'answer',  # to a question; the last one counts
+    'attention',  # result of an attention check, recorded when its questionnaire ended
+    'client',  # details of the participant's browser, at each arrival
+    'idle',  # time without a key press, until a key was pressed or the part was left
     'demonstration cut',  # the time limit ended an open demonstration
-    'button',  # suggested button
-    'learned',  # all options of the participant in this condition so far
+    'button',  # a suggested button
+    'learned',  # all options taught so far in this condition
     'ended',  # the participant completed the study
 ]
 _REQUIRED: dict[EventKind, tuple[str, ...]] = {
@@ -54,14 +54,14 @@ _REQUIRED: dict[EventKind, tuple[str, ...]] = {
     'learned': ('part', 'options'),
     'ended': (),
 }
-FINISHED: Final = 'finished'  # why a part ended, as are the next two
+FINISHED: Final = 'finished'  # this and the next two: reason why a part ended
 TIME: Final = 'time is over'
 FAILED: Final = 'attention failed'
-MAX_LINE = 1_000_000  # maximum number of characters of an event
+MAX_LINE = 1_000_000  # characters of an event
 
 
 def _text(text: str) -> str:
-    """Return a text in composed form; reject lone surrogates, which cannot be encoded."""
+    """Return a text in NFC; reject lone surrogates, which cannot be encoded."""
     text.encode()
     return composed(text)
 
@@ -107,7 +107,7 @@ class Event(_Values):
     why: Literal['', 'finished', 'time is over', 'attention failed'] = ''
     item: Text = ''  # name of the question
     value: Answer | None = None  # None: the question was skipped
-    points: Annotated[int, Field(ge=2, le=MAX_POINTS)] = 0  # of a rating: number of points
+    points: Annotated[int, Field(ge=2, le=MAX_POINTS)] = 0  # points of a rating scale
     seconds: Annotated[float, Field(ge=0, lt=1e9)] = 0.0  # reaction time, or time without a key
     passed: bool = False  # whether an attention check was passed
     domain: Text = ''
@@ -123,10 +123,10 @@ class Event(_Values):
     software: Text = ''  # version of humanopts
     protocol: Text = ''  # digest of the participant's plan; empty: not stored
     browser: Text = ''
-    width: Count = 0  # of the browser's window, CSS pixels, as is the height
-    height: Count = 0
+    width: Count = 0  # CSS pixels
+    height: Count = 0  # CSS pixels
     language: Text = ''  # of the browser
-    columns: dict[Name, Text] = {}  # parameters of the address, from a recruiting platform
+    columns: dict[Name, Text] = {}  # URL parameters from a recruiting platform
 
     @model_validator(mode='after')
     def _fits(self) -> Self:
@@ -183,11 +183,11 @@ def _finite(value: float) -> float | None:
 
 def last_attempts(events: Iterable[Event]) -> list[Event]:
     """
-    Return the valid events: one for each fact, from the last attempt at each part.
+    Return the events that count: one per fact, from the last attempt at each part.
 
     Restarting a part discards the answers and buttons of the earlier attempt, but not the options
-    taught. If a fact, such as an answer, is recorded twice in one attempt, the last record counts;
-    only the first 'began' event counts.
+    taught. If a fact, such as an answer, is recorded twice in one attempt, the last record counts.
+    Of several 'began' events, the first counts.
 
     :param events: events of one participant, in chronological order.
     """
@@ -220,9 +220,9 @@ def times_in(events: Iterable[Event]) -> dict[str, TimeIn]:
     """
     Return the times that a participant spent on each part, by key.
 
-    A sitting lasts from the start of the part until the part is left or ended; if neither is
-    recorded because of a crash or power failure, until the last keep-alive event. If its start is
-    not recorded, it begins with the first recorded event.
+    A sitting lasts from the start of the part until the part is left or ended. If neither is
+    recorded, for example after a crash, the sitting lasts until the last event, such as a
+    keep-alive. If its start is not recorded, it begins with the first event.
     """
     parts: dict[str, TimeIn] = {}
     for event in events:

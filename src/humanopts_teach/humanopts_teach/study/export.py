@@ -1,4 +1,4 @@
-"""The files of ``study export``: tables for models, with everything needed to read them."""
+"""The files of ``study export``: tables, and the files needed to interpret them."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ ANALYSIS = 'analysis.R'
 
 def write_study(data: StudyData, out: Path, *, excel: bool = False) -> list[Path]:
     """
-    Write the tables as CSV and for SPSS, codebook, protocol, Table 1 and an analysis in R.
+    Write the tables (CSV and SPSS), codebook, protocol, Table 1 and an analysis in R.
 
     :param excel: whether to write a byte order mark in CSV files.
     :return: the files, in the order written.

@@ -1,4 +1,4 @@
-"""The figures of the report of a study: conditions in colours, people as thin lines."""
+"""The figures of the report of a study: one colour per condition, one thin line per person."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 SIZE = (5.0, 3.1)  # inches
-_SHORT = 20  # characters; two longer names do not fit beside each other
+_SHORT = 20  # maximum name length in a legend with two columns, characters
 STYLES = ('-', '--', ':', '-.')
 _PERSON: dict[str, Any] = {'lw': 0.8, 'alpha': 0.45}
 _BELOW: dict[str, Any] = {'loc': 'upper center', 'bbox_to_anchor': (0.5, -0.18)}
@@ -19,9 +19,9 @@ _MEAN: dict[str, Any] = {'lw': 2.4}
 
 def progress_figure(given: pd.DataFrame, options: pd.DataFrame, conditions: Sequence[str]) -> str:
     """
-    Return a figure of the options learned by the number of demonstrations; empty: none.
+    Return a figure of the number of options learned by number of demonstrations; empty: no data.
 
-    An option counts from its last demonstration, after which nothing was missing.
+    A learned option counts from its last demonstration.
 
     :param given: the table of demonstrations, without withdrawn ones.
     :param options: the table of options.
@@ -47,7 +47,7 @@ def progress_figure(given: pd.DataFrame, options: pd.DataFrame, conditions: Sequ
 
 
 def pace_figure(given: pd.DataFrame, conditions: Sequence[str]) -> str:
-    """Return a figure of the duration of each demonstration; empty: none."""
+    """Return a figure of the duration of each demonstration; empty: no data."""
     curves: dict[str, list[pd.Series]] = {}
     for (name, _), own in given[given['kind'] == 'demonstration'].groupby(
         ['condition', 'participant'], sort=False
@@ -67,7 +67,7 @@ def pace_figure(given: pd.DataFrame, conditions: Sequence[str]) -> str:
 
 def accuracy_figure(points: pd.DataFrame, measure: str, title: str, paper: int) -> str:
     """
-    Return a figure of an accuracy of the options of one game by the number of demonstrations.
+    Return a figure of one accuracy measure of a game's options by number of demonstrations.
 
     :param points: columns option, participant, condition, demonstrations and the measure, a share.
     :param paper: number of demonstrations to mark.
@@ -100,12 +100,12 @@ def _curves(
     **axes: str,
 ) -> str:
     """
-    Draw the curves of people and their means.
+    Draw one curve per person, and the means.
 
-    :param carried: whether a curve keeps its last value in the mean; else the mean is of those
-        who got that far, at least two.
+    :param carried: whether ended curves keep their last value in the mean; otherwise, it is
+        taken only where at least two curves continue (one, if there is only one person).
     :param mark: value of x to mark, with its label.
-    :param top: upper end of the y axis; None: that of the curves.
+    :param top: upper end of the y axis; None: automatic.
     """
     if not curves:
         return ''
@@ -174,7 +174,7 @@ def _axes(work: Drawing, **axes: str) -> Axes:
 
 
 def _styles(conditions: Sequence[str]) -> list[tuple[str, str, str]]:
-    """Return colour and line style of each condition."""
+    """Return the colour, line style and name of each condition."""
     return [
         (SERIES[index % len(SERIES)], STYLES[index % len(STYLES)], name)
         for index, name in enumerate(conditions)

@@ -13,19 +13,19 @@ class ConditionFlow:
     """The participants of one condition."""
 
     name: str
-    assigned: int  # participants whose order contains it
-    taught: int  # began to teach in it
-    finished: int  # ended teaching
-    left: int  # left the study in it: dropped out or under way
+    assigned: int  # participants with this condition in their order
+    taught: int  # began to teach in this condition
+    finished: int  # finished teaching in this condition
+    left: int  # dropped out or under way, last seen in this condition
 
 
 @dataclass(frozen=True)
 class Flow:
-    """Numbers of people; each who came is counted once in the first line, and once in the last."""
+    """Numbers of people; every visitor has exactly one final state."""
 
     declined: int
-    full: int  # came when all places were taken
-    withdrawn: int  # their data are deleted
+    full: int  # arrived when all places were taken
+    withdrawn: int  # their data were deleted
     excluded: int  # failed too many attention checks
     dropped_out: int
     under_way: int
@@ -40,7 +40,7 @@ class Flow:
 
     @property
     def assessed(self) -> int:
-        """People who came to the first page."""
+        """People who opened the first page."""
         return self.declined + self.full + self.began
 
 

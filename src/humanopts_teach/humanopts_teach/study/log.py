@@ -1,4 +1,4 @@
-"""The log of a study: what happened to people who have no record, or no longer have one."""
+"""The log of a study: events of people without a record."""
 
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 FILE = 'log.jsonl'
 LogEvent = Literal[
     'declined',  # a person did not agree to take part
-    'full',  # a person came when all places were taken
+    'full',  # a person arrived when all places were taken
     'withdrawn',  # the data of a participant were deleted
 ]
 
@@ -24,8 +24,8 @@ class LogEntry(BaseModel):
 
     event: LogEvent
     time: Annotated[float, Field(ge=0, lt=1e11)]  # s since 1970
-    people: Annotated[int, Field(ge=-1, le=1)] = 1  # -1: no longer counts, having come again
-    number: Annotated[int, Field(ge=0)] | None = None  # of the participant; None: has none
+    people: Annotated[int, Field(ge=-1, le=1)] = 1  # -1: cancels an entry, as the person returned
+    number: Annotated[int, Field(ge=0)] | None = None  # of the participant; None: unknown
     place: Annotated[int, Field(ge=0)] | None = None  # of the participant
     files: Annotated[int, Field(ge=0)] = 0  # number of deleted files
 
@@ -50,7 +50,7 @@ class StudyLog:
         )
 
     def people(self, event: LogEvent) -> int:
-        """Return the number of people; a deletion that was repeated counts once."""
+        """Return the number of people; repeated deletions count once."""
         found = [entry for entry in self.entries if entry.event == event]
         if event == 'withdrawn':
             return len({entry.number for entry in found})

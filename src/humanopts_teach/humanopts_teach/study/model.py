@@ -37,15 +37,15 @@ class Effects:
     observations: int
     between: float  # standard deviation of the participants' intercepts; NaN: not in the model
     within: float  # standard deviation of the residuals
-    remark: str = ''  # on what was left out of the model; empty: nothing
+    remark: str = ''  # about effects omitted from the model; empty: none
 
 
 def effects(table: pd.DataFrame, outcome: str, conditions: Sequence[str]) -> Effects:
     """
-    Return the difference of each condition to the first.
+    Return the difference of each condition from the first.
 
-    Intervals are those of Student's t with the degrees of freedom of Pinheiro and Bates (2000,
-    section 2.4.2): observations less participants less further columns of fixed effects.
+    Intervals use Student's t with the degrees of freedom of Pinheiro and Bates (2000, section
+    2.4.2): observations minus participants minus the columns of fixed effects after the intercept.
 
     :param table: columns participant, condition, position and the outcome; rows without an
         outcome are left out.
@@ -104,11 +104,11 @@ def _fit(
     """
     Fit the model.
 
-    :param people: of each row; None: without random intercepts.
-    :return: means and standard errors of the fixed effects, and the standard deviations of
+    :param people: participant of each row; None: fit without random intercepts.
+    :return: estimates and standard errors of the fixed effects, and the standard deviations of
         intercepts and residuals.
     """
-    # Each takes a second to import.
+    # Imported here: each takes a second.
     from statsmodels.regression.linear_model import OLS
     from statsmodels.regression.mixed_linear_model import MixedLM
 
@@ -120,7 +120,7 @@ def _fit(
         if np.isfinite(errors).all() and variance > 1e-6 * found.scale:
             fixed = np.asarray(found.fe_params)
             return fixed, errors, float(np.sqrt(variance)), float(np.sqrt(found.scale))
-    # At a variance of 0 the mixed model is the ordinary one.
+    # With an intercept variance of 0, the mixed model is ordinary least squares.
     plain = OLS(values, columns).fit()
     between = np.nan if people is None else 0.0
     return plain.params, plain.bse, between, float(np.sqrt(plain.scale))

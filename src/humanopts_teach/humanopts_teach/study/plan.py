@@ -50,11 +50,11 @@ QUESTIONNAIRES = Path(__file__).parent  # folder of the bundled questionnaires
 SHIPPED = 'nasa-tlx'
 MAX_CONDITIONS = 100
 MAX_TASK = 300  # characters
-MAX_PAGES = 100  # maximum number of pages in a file
-MAX_PAGE = 100_000  # maximum number of characters in a file of pages
+MAX_PAGES = 100  # pages per file
+MAX_PAGE = 100_000  # characters in a file of pages
 MAX_MINUTES = 10**6
-MAX_BUTTONS = 9  # maximum number of buttons to teach; each has a digit key in the menu
-MAX_BUTTON = 60  # maximum number of characters of a button
+MAX_BUTTONS = 9  # buttons to teach; each has a digit key in the menu
+MAX_BUTTON = 60  # characters of a button
 MAX_HOURS = 24 * 366
 MAX_READING = 60.0  # s
 _URL = re.compile(r'https://[A-Za-z0-9.-]+(:[0-9]+)?([/?][!-~]*)?')
@@ -99,7 +99,7 @@ class Order(Enum):
     FIXED = 'fixed'  # as in the plan
     BALANCED = 'balanced'  # rows of a balanced Latin square, in turn
     RANDOM = 'random'  # drawn from the study's seed and the participant's number
-    ONE = 'one'  # a single condition each, in turn
+    ONE = 'one'  # one condition per participant, in turn
 
 
 class PartKind(Enum):
@@ -124,33 +124,33 @@ class Part(Values):
     text: str = ''  # text of a page, Markdown
     task: str = ''  # stays visible while the participant plays, suggests buttons and teaches
     minutes: float = 0.0  # time limit; 0: none
-    most: int = 0  # maximum number of buttons to suggest
-    teach_buttons: tuple[str, ...] = ()  # options to teach; empty: the person names them
+    most: int = 0  # maximum of suggested buttons
+    teach_buttons: tuple[str, ...] = ()  # options to teach; empty: participants name their own
     questions: Questionnaire | None = None  # in the participant's order
-    most_failed: int | None = None  # maximum of failed attention checks; None: any number
+    most_failed: int | None = None  # maximum number of failed attention checks; None: unlimited
     reading: float = 0.0  # s, minimum display time of a page
-    idle: float = 0.0  # minutes without a key before the warning; 0: none
+    idle: float = 0.0  # minutes without a key press before the warning; 0: none
 
 
 PARTS = TypeAdapter(tuple[Part, ...])
 
 
 class Condition(Values):
-    """A teaching condition of the study; times are in minutes, and 0 omits a part."""
+    """A teaching condition of the study; times in minutes; 0 omits a part."""
 
     name: Name
     domain: Text
     parameters: dict[str, Any] = {}
     learn: Text = METHOD
-    derive: tuple[Text, ...] = ()  # formulas, asked about like the features of the game
+    derive: tuple[Text, ...] = ()  # formulas, included in feature selection
     strategy: Text = STRATEGY
     budget: Annotated[int, Field(ge=1, lt=2**31)] = BUDGET
-    unstick: bool = True  # whether options that repeat themselves take random moves
+    unstick: bool = True  # whether options take random actions to leave loops
     picture: bool = True  # False: participants see only a table of features
     page: Given = None  # Markdown file, shown first
     task: Task = ''  # stays visible in the game
     free_play: Minutes = 0.0
-    buttons: Whole = 0  # maximum number of buttons to suggest; 0 omits the part
+    buttons: Whole = 0  # maximum of suggested buttons; 0 omits the part
     teach: Minutes = 20.0  # time limit for teaching
     teach_buttons: Annotated[
         tuple[ButtonName, ...],
@@ -163,21 +163,21 @@ class Condition(Values):
 class Attention(Values):
     """The rule for attention checks."""
 
-    most_failed: Whole  # more failed checks exclude the participant
+    most_failed: Whole  # a participant with more failed checks is excluded
 
 
 class Recruiting(Values):
     """
-    How participants come from a recruiting platform, and return to it.
+    The arrival of participants from a recruiting platform, and their return to it.
 
-    ``{code}`` in an address is replaced by the participant's code.
+    ``{code}`` in a URL is replaced by the participant's code.
     """
 
     code: Annotated[Name | None, BeforeValidator(_given)] = (
-        None  # parameter of the address that has the participant's code, as PROLIFIC_PID
+        None  # URL parameter with the participant's code, such as PROLIFIC_PID
     )
-    columns: tuple[Name, ...] = ()  # parameters to record
-    completed: UrlOrCode = None  # address, or code to copy
+    columns: tuple[Name, ...] = ()  # URL parameters to record
+    completed: UrlOrCode = None  # URL, or a code to copy
     declined: Url = None
     failed: Url = None  # after too many failed attention checks
 
@@ -198,9 +198,9 @@ class _PlanFile(Values):
     order: Order = Order.BALANCED
     participants: Whole = 0  # number of places; 0: unlimited
     seed: Whole = 1
-    language: Text = ENGLISH  # or a file FILE.po beside the plan
-    return_within: Annotated[float, Field(ge=0, le=MAX_HOURS)] = 24.0  # hours; 0: for ever
-    idle: Minutes = 0.0  # without a key before the warning; 0: none
+    language: Text = ENGLISH  # or the name of a PO file in the folder of the plan
+    return_within: Annotated[float, Field(ge=0, le=MAX_HOURS)] = 24.0  # hours; 0: no limit
+    idle: Minutes = 0.0  # minutes without a key press before the warning; 0: none
     reading: Annotated[float, Field(ge=0, le=MAX_READING)] = (
         2.0  # s, minimum display time of pages
     )
@@ -235,7 +235,7 @@ class StudyPlan(_PlanFile):
 
     def order_of(self, place: int) -> list[Condition]:
         """
-        Return the conditions in the order of a place.
+        Return the conditions in the order assigned to a place.
 
         :param place: index of the participant's place, from 0.
         """
@@ -253,10 +253,10 @@ class StudyPlan(_PlanFile):
         """
         Return a participant's conditions in order, each with its parts.
 
-        The parts follow the order of the paper's experiments; consent and welcome come first,
-        thanks last. Buttons for a game are requested only in the first condition that has them.
+        The parts follow the order of the paper's experiments. Consent and welcome come first,
+        thanks last. Buttons for a game are requested only in its first condition with that part.
 
-        :param place: of the participant.
+        :param place: index of the participant's place, from 0.
         :param number: index of the participant in order of arrival, from 0.
         """
         turns: list[tuple[Condition, list[Part]]] = []
@@ -298,12 +298,12 @@ class StudyPlan(_PlanFile):
         return turns
 
     def parts_of(self, place: int, number: int) -> list[Part]:
-        """Return all parts of a participant, in order."""
+        """Return all parts of a participant in order."""
         return [part for _, parts in self.turns_of(place, number) for part in parts]
 
     @property
     def consent_parts(self) -> list[Part]:
-        """The pages of the consent, the first parts of every participant; empty: not asked."""
+        """The consent pages, the first parts for every participant; empty: no consent."""
         return self._page(self.consent, 'consent', PartKind.CONSENT)
 
     def _page(self, file: str | None, key: str, kind: PartKind = PartKind.PAGE) -> list[Part]:
@@ -319,7 +319,7 @@ class StudyPlan(_PlanFile):
 
 def balanced_latin_square(count: int) -> list[list[int]]:
     """
-    Return orders of ``count`` conditions in which each follows every other one equally often.
+    Return orders of ``count`` conditions: each condition follows every other one equally often.
 
     The design of Williams (1949): ``count`` orders, or twice as many if ``count`` is odd.
     """
@@ -391,11 +391,11 @@ def read_name(path: Path) -> str:
 
 def _playable(conditions: Iterable[Condition], folder: Path) -> Iterable[Condition]:
     """
-    Validate and yield the conditions; equal games are created once.
+    Validate and yield the conditions; create equal games only once.
 
-    Parameters are replaced by the game's own values: a file name by the contents of the file.
+    Parameters are replaced by the game's own values. A file name becomes the contents of the file.
 
-    :param folder: of files with features.
+    :param folder: folder of the plan; paths are relative to it.
     """
     made = cache(lambda domain, parameters: open_domain(domain, json.loads(parameters)))
     for each in conditions:
@@ -419,7 +419,7 @@ def _playable(conditions: Iterable[Condition], folder: Path) -> Iterable[Conditi
 
 
 def _pages(path: Path) -> tuple[str, ...]:
-    """Return the pages of a file, separated by lines of ---."""
+    """Return the pages of a file, which are separated by lines of ---."""
     text = read_text(path, 4 * MAX_PAGE)
     if len(text) > MAX_PAGE:
         raise PlanFileError(f'{path.name} has {len(text):,} characters; the limit is {MAX_PAGE:,}')

@@ -1,4 +1,4 @@
-"""Progress of a study: what each participant is doing, and the places of each order."""
+"""Progress of a study: the state of each participant, and the places of each order."""
 
 from collections.abc import Container, Sequence
 
@@ -18,10 +18,10 @@ def participants_table(
     """
     Return one row per participant.
 
-    :param protocol: versions of the plan; the parts are those of the participant's version.
-    :param running: codes of those who take part at the moment.
-    :param hours: time in which a participant has to return; 0: unlimited.
-    :param now: s since 1970.
+    :param protocol: versions of the plan; each person follows one of them.
+    :param running: codes of the participants who are taking part now.
+    :param hours: absence after which a place is released, hours; 0: never.
+    :param now: current time, s since 1970.
     """
     columns = ['participant', 'order', 'state', 'parts done', 'parts', 'next', 'minutes']
     rows = []
@@ -47,9 +47,9 @@ def participants_table(
 
 def places_table(plan: StudyPlan, records: Sequence[Record], now: float) -> pd.DataFrame:
     """
-    Return the places of each order of conditions: finished, under way, and left.
+    Return the numbers of places finished, under way and free, for each order of conditions.
 
-    Without a limit of participants, no number of places is left.
+    If the number of participants is unlimited, the column of free places is omitted.
     """
     holding = [each for each in records if each.holds_place(plan.return_within, now)]
     taken = {each.place for each in holding}

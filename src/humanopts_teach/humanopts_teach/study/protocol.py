@@ -1,7 +1,7 @@
 """
 The protocol of a study: the plan as used, including all pages and questions.
 
-It is stored with the records when the first participant begins. Changes are stored as new
+It is stored with the records when the first participant begins. Changed plans are stored as new
 versions; participants continue with the version with which they began.
 """
 
@@ -27,7 +27,7 @@ _CONTEXT = 5  # context lines of a diff
 
 
 class Version(BaseModel):
-    """A version of the protocol and the time of its introduction."""
+    """A version of the protocol and the time at which it was stored."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(strict=True, frozen=True, extra='forbid')
 

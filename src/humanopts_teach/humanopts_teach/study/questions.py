@@ -1,4 +1,4 @@
-"""Questions of a study: their kinds, what counts as an answer, and attention checks."""
+"""Questions of a study: their kinds, valid answers, and attention checks."""
 
 from enum import Enum
 import re
@@ -17,12 +17,12 @@ from pydantic import (
     StringConstraints,
 )
 
-CONTROL = re.compile(r'[\x00-\x08\x0b-\x1f\x7f-\x9f]')  # except tabs and line breaks
+CONTROL = re.compile(r'[\x00-\x08\x0b-\x1f\x7f-\x9f]')  # except tabs and line feeds
 MAX_POINTS = 21
-MAX_ITEMS = 200  # maximum number of items of a questionnaire
-MAX_OPTIONS = 50  # maximum number of options of a question
-MAX_LINE = 2000  # maximum number of characters of a question, label or other text
-MAX_TEXT = 1000  # maximum number of characters of an answer
+MAX_ITEMS = 200  # items per questionnaire
+MAX_OPTIONS = 50  # options per question
+MAX_LINE = 2000  # characters of a question, label or other text
+MAX_TEXT = 1000  # characters of an answer
 MAX_NUMBER = 10**12
 
 
@@ -45,14 +45,14 @@ def _as_name(text: str) -> str:
 
 
 def different(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Reject a name that is given twice."""
+    """Reject duplicate names."""
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise ValueError(f'{twice!r} is given twice')
     return names
 
 
 def distinct(named: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Reject two items with one name."""
+    """Reject two items with the same name."""
     different(tuple(each.name for each in named))
     return named
 
@@ -93,7 +93,7 @@ Answer = (
 
 
 class QuestionKind(Enum):
-    """How a question is answered; in brackets the value of an answer."""
+    """The kind of question; the value of an answer is in brackets."""
 
     RATING = 'rating'  # a point of the scale (1 to ``points``)
     CHOICE = 'choice'  # one option (its index from 1)
@@ -117,14 +117,14 @@ class Question(Values):
     name: Name
     text: Text
     kind: QuestionKind = QuestionKind.RATING
-    low: Label = ''  # of a rating: label of the lowest point, 1
-    high: Label = ''  # of a rating: label of the highest point
+    low: Label = ''  # label of the lowest point of a rating, 1
+    high: Label = ''  # label of the highest point of a rating
     options: Annotated[tuple[Text, ...], Field(max_length=MAX_OPTIONS)] = ()  # of a choice
-    least: Number | None = None  # of a number; None: no limit
-    most: Number | None = None  # of a number, or of the characters of a text; None: no limit
+    least: Number | None = None  # minimum of a number; None: no limit
+    most: Number | None = None  # maximum of a number, or length of a text; None: no limit
     unit: Label = ''  # of a number
-    optional: bool | None = None  # whether it may be skipped; None: a text may be
-    expect: Answer | None = None  # right answer of an attention check; None: it is no check
+    optional: bool | None = None  # whether it may be skipped; None: only if it is a text
+    expect: Answer | None = None  # expected answer to an attention check; None: not a check
 
     @property
     def skippable(self) -> bool:
@@ -133,7 +133,7 @@ class Question(Values):
 
     @property
     def max_characters(self) -> int:
-        """The maximum number of characters of a text."""
+        """The maximum number of characters of a text answer."""
         return MAX_TEXT if self.most is None else int(self.most)
 
     @model_validator(mode='after')
@@ -159,9 +159,9 @@ class Question(Values):
 
     def accepts(self, value: Any, points: int) -> bool:
         """
-        Return whether a value answers the question; None leaves it unanswered.
+        Return whether a value is a valid answer; None: skipped.
 
-        :param points: of the questionnaire's rating scale.
+        :param points: number of points of the rating scale.
         """
         whole, count = type(value) is int, len(self.options)
         match self.kind:
@@ -181,7 +181,7 @@ class Question(Values):
         return isinstance(value, str) and 1 <= len(value) <= self.max_characters
 
     def draw(self, rng: np.random.Generator, points: int) -> Any:
-        """Return a random answer; of an attention check, the right one."""
+        """Return a random answer, or the expected one to an attention check."""
         if self.expect is not None:
             return self.expect
         match self.kind:
@@ -209,7 +209,7 @@ class Question(Values):
 
 
 class Questionnaire(Values):
-    """Questions; the ratings have a Likert scale from 1 to ``points``."""
+    """A list of questions; ratings use a Likert scale from 1 to ``points``."""
 
     items: Annotated[
         tuple[Question, ...],
@@ -228,10 +228,10 @@ class Questionnaire(Values):
 
     def arranged(self, seed: int, number: int, key: str) -> Self:
         """
-        Return the questionnaire with its items in the order of a participant.
+        Return the questionnaire with its items in the order for a participant.
 
-        :param number: of the participant.
-        :param key: of the part.
+        :param number: index of the participant in order of arrival, from 0.
+        :param key: key of the part.
         """
         if self.order == 'fixed':
             return self

@@ -1,8 +1,8 @@
 """
 Records of participants: one file of events each.
 
-An event is a line of JSON. It is written to disk (fsync) before the study continues, and also
-published, so that the bag of the condition contains it. The only personal data stored are the
+An event is a line of JSON. It is written to disk (fsync) before the study continues. It is also
+published, and thus recorded in the bag of the condition. The only personal data stored are the
 participant code and the texts that the person types.
 """
 
@@ -46,8 +46,8 @@ from humanopts_teach.study.protocol import (
 )
 
 TOPIC = 'study_events'  # StudyEvent messages, each an event as JSON
-MAX_BYTES = 64 * 2**20  # maximum size of a record
-MAX_NUMBER = 999_999  # maximum participant number
+MAX_BYTES = 64 * 2**20  # size of a record
+MAX_NUMBER = 999_999  # participant number
 _LOCK = '.lock'
 PILOT = 'pilot'  # folder of the pilot of a study
 _RESERVED = {PILOT, 'tables', 'report'}  # folders of a study
@@ -61,9 +61,9 @@ class StudyError(ValueError):
 
 class EndedError(StudyError):
     """
-    A participant has ended the study already.
+    A participant has already completed the study.
 
-    :ivar record: of the participant.
+    :ivar record: record of the participant.
     """
 
     def __init__(self, record: 'Record') -> None:
@@ -105,10 +105,10 @@ class ChangedPlanError(StudyError):
 
 @dataclass
 class Record:
-    """The events of one participant in order, without invalid ones."""
+    """The events of one participant in order, without invalid lines."""
 
     path: Path
-    code: str = ''  # from the file name, as is the number
+    code: str = ''  # code and number are from the file name
     number: int = 0  # in order of arrival, from 0
     events: list[Event] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)  # descriptions of omitted lines
@@ -143,7 +143,7 @@ class Record:
 
     @property
     def place(self) -> int:
-        """The participant's place; without a valid beginning, the one by number."""
+        """The participant's place; without a valid 'began' event, the participant's number."""
         return self.number if self.began is None else self.began.place
 
     @property
@@ -153,12 +153,12 @@ class Record:
 
     def holds_place(self, hours: float, now: float) -> bool:
         """
-        Return whether the place is not available to others.
+        Return whether the participant's place is unavailable to others.
 
-        It is held by those who have completed the study, and by those under way.
+        Participants who have completed the study, or are under way, hold their places.
 
-        :param hours: time in which a participant has to return; 0: unlimited.
-        :param now: s since 1970.
+        :param hours: maximum absence before the place is released; 0: unlimited.
+        :param now: current time, s since 1970.
         """
         if self.excluded:
             return False
@@ -172,7 +172,7 @@ class Record:
         return (max(times) - min(times)) / 60
 
     def seconds_in(self, part: str) -> float:
-        """Return the time in s that the participant has spent on a part, over all sittings."""
+        """Return the time spent on a part in all sittings, s."""
         return times_in(self.events).get(part, TimeIn()).seconds
 
     def answers_in(self, part: str) -> dict[str, Any]:
@@ -212,7 +212,7 @@ class OpenRecord(Record):
         """
         Record whether the attention checks of a part were passed.
 
-        :return: why the part ends: the participant has finished it, or has failed too many checks.
+        :return: reason why the part ends: ``FINISHED``, or ``FAILED`` with too many failed checks.
         :raises OSError: the event could not be written.
         """
         checks = [] if part.questions is None else part.questions.items
@@ -228,7 +228,7 @@ class OpenRecord(Record):
         """
         Append an event.
 
-        :param part: part of the event; None: none.
+        :param part: part that the event belongs to; None: none.
         :param values: other fields of the event, except the time.
         :raises OSError: the event could not be written.
         """
@@ -256,24 +256,24 @@ class StudyFolder:
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.time) -> None:
         """
-        Name the folder, which need not exist.
+        Use a folder, which need not exist.
 
         :param clock: function that returns the time in s since 1970.
         """
         self.path, self._clock = path, clock
         self._parsed: dict[tuple[Path, int, int, int], Record] = {}  # by file, size and time
-        self._counted: dict[str, LogEvent] = {}  # by code; never written
+        self._counted: dict[str, LogEvent] = {}  # by code; not stored on disk
 
     def records(self) -> tuple[list[Record], list[str]]:
         """
         Return the records of all participants in order of arrival, without copies.
 
-        :return: records, and descriptions of what was omitted: files that are not a participant's
+        :return: records, and descriptions of omissions: files that are not a participant's
             record, and lines that are not events.
         """
         found: dict[str, Record] = {}
         named, problems = self._named()
-        parsed, self._parsed = self._parsed, {}  # a long study has many events
+        parsed, self._parsed = self._parsed, {}  # reuse unchanged records, which can be long
         for each in named:
             try:
                 file = each.path.lstat()
@@ -294,23 +294,23 @@ class StudyFolder:
         return [each.code for each in self.records()[0]]
 
     def new_code(self) -> str:
-        """Return a code that no participant has, and that no one can guess."""
+        """Return an unused code that cannot be guessed."""
         known = {caseless(code) for code in self.codes()}
         codes = (''.join(choice(_CODE_LETTERS) for _ in range(_CODE_LENGTH)) for _ in count())
         return next(code for code in codes if code not in known)
 
     def find(self, plan: StudyPlan, code: str, *, simulated: bool = False) -> Record | None:
         """
-        Return the record of a participant who continues; None: a new one, who can begin.
+        Return the record of a returning participant; None: new participant, who may begin.
 
         Nothing is written.
 
         :param simulated: whether the participant is a simulated teacher.
         :raises SimilarCodeError: a known code differs only in case.
         :raises ChangedPlanError: the plan differs from the stored one.
-        :raises EndedError: the participant has ended the study.
+        :raises EndedError: the participant has completed the study.
         :raises FullError: all places are taken.
-        :raises StudyError: the code is invalid, or its participant follows another plan.
+        :raises StudyError: the code or its record is invalid, or belongs to another study or plan.
         :raises OSError: the folder cannot be read.
         """
         if not CODE.fullmatch(code):
@@ -333,7 +333,7 @@ class StudyFolder:
                 raise SimilarCodeError(code, similar)
             for each in self._named()[0]:
                 if each.code == code and not _is_empty(each.path):
-                    # Otherwise the participant would get a second record.
+                    # Otherwise, the participant would get a second record.
                     why = next(text for text in problems if text.startswith(f'{each.path} '))
                     raise StudyError(
                         f'{code!r} has a record that cannot be used: {why}; repair it, or move '
@@ -354,12 +354,11 @@ class StudyFolder:
         """
         Return the record of a new participant, or of one who continues the study.
 
-        A new participant gets the lowest free place. A record that cannot be written leaves
-        nothing.
+        A new participant gets the lowest free place. A failed write leaves nothing on disk.
 
-        :param consent_seconds: time in which the person has agreed just now; None: was not asked.
+        :param consent_seconds: time that the person took to consent, s; None: not requested.
         :param client: fields of the 'client' event: browser, width, height, language, columns.
-        :raises StudyError: as of ``find``.
+        :raises StudyError: as in ``find``.
         :raises OSError: the folder cannot be written.
         """
         self.path.mkdir(parents=True, exist_ok=True)
@@ -405,7 +404,7 @@ class StudyFolder:
             return record.read()
 
     def _agreed(self, pages: Iterable[Part], seconds: float) -> list[Event]:
-        """Return the events of a consent; the last page has the time that all pages took."""
+        """Return the events of the consent pages; all of the time is assigned to the last page."""
         events, now = list[Event](), round(self._clock(), 3)
         for page in pages:
             start = now - seconds
@@ -420,9 +419,9 @@ class StudyFolder:
     @contextmanager
     def hold(self, record: Record) -> Iterator[None]:
         """
-        Take part, in one place at a time.
+        Mark a participant as taking part, and prevent a second visit at the same time.
 
-        :raises StudyError: the participant takes part elsewhere.
+        :raises StudyError: the participant is already taking part elsewhere.
         """
         with self._locked():
             handle = _take(record.path)
@@ -436,8 +435,8 @@ class StudyFolder:
             os.close(handle)
 
     def running(self) -> set[str]:
-        """Return the codes of those who take part at the moment."""
-        if not os.access(self.path / _LOCK, os.W_OK):  # missing, or in an archive
+        """Return the codes of the participants who are taking part now."""
+        if not os.access(self.path / _LOCK, os.W_OK):  # missing, or read-only as in an archive
             return set()
         with self._locked():
             handles = {each.code: _take(each.path) for each in self.records()[0]}
@@ -448,12 +447,12 @@ class StudyFolder:
 
     def count(self, code: str, event: LogEvent | None) -> None:
         """
-        Count a person without a record once, by the latest visit; the code is not written.
+        Count a person without a record once, by the latest visit; do not store the code.
 
-        Who was counted is known only to this object, so someone who comes again later, when
-        another one has the folder, counts again.
+        Earlier visits are known only to this object, so a person who returns after a restart is
+        counted again.
 
-        :param event: how the visit ended; None: the person takes part.
+        :param event: result of the visit; None: the person takes part.
         :raises OSError: the log cannot be written.
         """
         before = self._counted.get(code)
@@ -471,10 +470,10 @@ class StudyFolder:
 
     def withdraw(self, code: str) -> int:
         """
-        Delete everything about a participant, and log the deletion without the code.
+        Delete all data of a participant, and log the deletion without the code.
 
         :return: number of deleted files.
-        :raises StudyError: there is no such participant, or the participant is taking part.
+        :raises StudyError: the code is unknown, or the participant is taking part.
         :raises OSError: a file cannot be deleted; the deletion can be repeated.
         """
         files = self.files_of(code)
@@ -495,9 +494,9 @@ class StudyFolder:
 
     def files_of(self, code: str) -> list[Path]:
         """
-        Return all files about a participant: records, with their copies, and bags.
+        Return all files of a participant: records and their copies, and bags.
 
-        :raises StudyError: there is no such participant.
+        :raises StudyError: the code is unknown.
         """
         named = [each for each in self._named()[0] if each.code == code]
         if not named:
@@ -506,7 +505,7 @@ class StudyFolder:
         return [*(path for path in (self.path / code).rglob('*') if path.is_file()), *records]
 
     def _free_place(self, plan: StudyPlan, records: Iterable[Record]) -> int:
-        """Return the lowest place that no one holds."""
+        """Return the lowest free place."""
         now, hours = self._clock(), plan.return_within
         held = {each.place for each in records if each.holds_place(hours, now)}
         place = next(place for place in count() if place not in held)
@@ -566,7 +565,7 @@ class StudyFolder:
         return ''
 
     def _whole_protocol(self) -> Protocol:
-        """Return the protocol; raise if a line is damaged: a participant may depend on it."""
+        """Return the protocol; raise if a line is damaged, since a record may refer to it."""
         protocol = Protocol(self.path)
         if protocol.problems:
             raise StudyError(f'{protocol.problems[0]}; put the file back from a copy')
@@ -593,7 +592,7 @@ class StudyFolder:
             )
 
     def _named(self) -> tuple[list[Record], list[str]]:
-        """Return the files with record names, by number, and descriptions of other files."""
+        """Return the files with valid record names by number, and descriptions of other files."""
         found, problems = [], []
         for path in sorted(self.path.glob('*.jsonl')) if self.path.is_dir() else []:
             match = _NAME.fullmatch(path.name)
@@ -608,7 +607,7 @@ class StudyFolder:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Prevent other processes from entering a participant at the same time."""
+        """Prevent other processes from changing the folder at the same time."""
         how = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         lock = os.open(self.path / _LOCK, how, 0o644)
         try:
@@ -623,7 +622,7 @@ def _is_empty(path: Path) -> bool:
 
 
 def _take(record: Path) -> int | None:
-    """Lock a record; return the descriptor to close, or None if another process has it."""
+    """Lock a record; return the descriptor to close, or None if it is already locked."""
     handle = os.open(record, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -639,7 +638,7 @@ def _file_name(number: int, code: str) -> str:
 
 def _fault(record: Record, others: Iterable[Record]) -> str:
     """
-    Return why a file is not a participant's record; empty: it is valid.
+    Return the reason why a file is not a valid record; empty: it is valid.
 
     :param others: records of preceding files.
     """

@@ -1,4 +1,4 @@
-"""The report of a study: one HTML file from the tables, without a network."""
+"""The report of a study: a self-contained HTML file made from the tables."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class Section:
     text: Sequence[str] = ()  # paragraphs
     markup: str = ''  # HTML
     figures: Sequence[tuple[str, str]] = ()  # SVG and caption
-    tables: Sequence[tuple[str, pd.DataFrame]] = ()  # caption and table; numbers to the right
+    tables: Sequence[tuple[str, pd.DataFrame]] = ()  # caption and table; numbers are right-aligned
     notes: Sequence[str] = ()  # paragraphs after the tables
 
 
@@ -64,7 +64,7 @@ class Results:
 
     @cached_property
     def conditions(self) -> list[str]:
-        """The conditions, in the order of the newest plan that has them."""
+        """The conditions, in the order of the newest plan that contains them."""
         plans = reversed(self.data.protocol.versions)
         planned = dict.fromkeys(each.name for v in plans for each in v.plan.conditions)
         return list(planned) or list(self.tables['conditions']['condition'].unique())
@@ -75,7 +75,7 @@ class Results:
         return bool((self.tables['participants']['simulated'] == 'no').any())
 
     def analysed(self, table: str) -> pd.DataFrame:
-        """Return the rows of a table of the participants who are analysed."""
+        """Return the rows of the analysed participants in a table."""
         people = self.tables['participants']
         kept = people[people['state'] != 'excluded']
         if self.has_people:
@@ -92,7 +92,7 @@ class Results:
 
 
 def study_report(data: StudyData) -> str:
-    """Return the page of a study with at least one participant."""
+    """Return the HTML report of a study with at least one participant."""
     results = Results(data)
     sections = [found for section in SECTIONS if (found := section(results)) is not None]
     versions = data.protocol.versions
@@ -116,12 +116,12 @@ def study_report(data: StudyData) -> str:
 
 
 def _cell(value: object) -> str:
-    """Return a value of a table as text."""
+    """Format a value of a table."""
     return number(value, 3) if isinstance(value, float) else str(value)
 
 
 def _findings(results: Results) -> Iterator[Finding]:
-    """Yield the flow of participants and the effects in sentences."""
+    """Yield sentences on the flow of participants and the effects."""
     flow = results.flow
     parts = [f'{counted(flow.began, "participant")} began', f'{flow.finished} finished']
     for count, word in (
@@ -162,7 +162,7 @@ def flow_section(results: Results) -> Section:
 
 
 def curves_section(results: Results) -> Section | None:
-    """Return the curves by condition, with people as lines."""
+    """Return the curves by condition, with one line per person."""
     given = results.analysed('demonstrations')
     given = given[given['withdrawn'] == 'no']
     figures = [
@@ -182,7 +182,7 @@ def curves_section(results: Results) -> Section | None:
 
 
 def effect_section(results: Results) -> Section | None:
-    """Return the effect of the conditions on each outcome."""
+    """Return the effects of the conditions on each outcome."""
     rows, names = results.taught, results.conditions
     if rows.empty or len(names) < 2:
         return None
@@ -218,7 +218,7 @@ def _framed(caption: str, rows: Sequence[dict[str, object]]) -> tuple[str, pd.Da
 
 
 def _remarks(of: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return sentences on models, each once with its outcomes."""
+    """Return each remark on the models once, with its outcomes."""
     return [f'{", ".join(titles)}: {remark}' for remark, titles in of.items() if remark]
 
 
@@ -319,7 +319,7 @@ def paper_section(results: Results) -> Section | None:
 
 
 def times_section(results: Results) -> Section | None:
-    """Return the minutes at each kind of part."""
+    """Return the time spent on each kind of part, min."""
     parts = results.analysed('parts')
     ended = parts[parts['why'] != '']
     if ended.empty:

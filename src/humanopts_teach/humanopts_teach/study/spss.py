@@ -7,7 +7,7 @@ from humanopts_teach.study.codebook import Column
 import numpy as np
 import pandas as pd
 
-MAX_CODES = 120  # values of a nominal column with more of them stay text
+MAX_CODES = 120  # a nominal column with more values stays text
 _MEASURES = {'id': 'nominal', 'text': 'nominal'}
 
 
@@ -15,13 +15,13 @@ def write_sav(table: pd.DataFrame, path: Path, columns: Mapping[str, Column], ti
     """
     Write a table.
 
-    Nominal columns become numbers from 0 with their texts as labels, since many procedures of
-    SPSS take no text: no is 0 and yes is 1, and other values are numbered in order of appearance.
+    Nominal columns become numbers from 0 with their texts as labels, since many SPSS procedures
+    do not accept text. 'no' is 0 and 'yes' is 1; other values are numbered in order of appearance.
 
     :param columns: descriptions, by name.
     :raises OSError: the file cannot be written.
     """
-    import pyreadstat  # only needed here
+    import pyreadstat  # optional
 
     data, values = table.copy(), dict[str, dict[float, str]]()
     for name in table:

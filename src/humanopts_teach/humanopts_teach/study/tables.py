@@ -17,18 +17,18 @@ from humanopts_teach.study.questions import Question
 from humanopts_teach.study.record import Record, StudyFolder
 import pandas as pd
 
-ADDRESS = 'url_'  # prefix of columns with parameters of the address
+ADDRESS = 'url_'  # prefix of columns with URL parameters
 _DETAILS = {'event', 'time', 'part', 'condition'}  # fields of an event that have their own column
 
 
 @dataclass(frozen=True)
 class StudyData:
     """
-    What the participants of a study did.
+    The data of the participants of a study.
 
-    :ivar lessons: entries in the order written, by participant and condition; none: not reached.
-    :ivar now: s since 1970; decides whether a participant has dropped out.
-    :ivar wordings: canonical names of buttons, as of ``read_merge``.
+    :ivar lessons: entries in the order written, by participant and condition; empty: not reached.
+    :ivar now: current time, s since 1970; determines whether a participant has dropped out.
+    :ivar wordings: canonical names of buttons, as returned by ``read_merge``.
     """
 
     protocol: Protocol
@@ -43,7 +43,7 @@ class StudyData:
         return self.protocol.plan_of(record.began.protocol) if record.began else None
 
     def state_of(self, record: Record) -> str:
-        """Return whether a participant has finished, or why not, as in the codebook."""
+        """Return the state of a participant, as defined in the codebook."""
         if record.excluded:
             return 'excluded'
         if record.over:
@@ -59,7 +59,7 @@ def read_study(
     """
     Read the folder of a study.
 
-    :return: the data, and descriptions of what was left out.
+    :return: the data, and descriptions of omissions.
     :raises OSError: the protocol or the log cannot be read.
     """
     records, problems = folder.records()
@@ -95,14 +95,14 @@ def tables(data: StudyData) -> dict[str, pd.DataFrame]:
 
 
 def described_columns(name: str, rows: Iterable[Mapping[str, Any]]) -> dict[str, Column]:
-    """Return the columns of a table, including parameters of addresses, which the plan names."""
+    """Return the columns of a table, including the URL parameters in the rows."""
     given = dict.fromkeys(key for row in rows for key in row if key.startswith(ADDRESS))
     from_address = Column('parameter of the address, from a recruiting platform', '', 'id')
     return codebook()[name] | dict.fromkeys(given, from_address)
 
 
 class _Participant:
-    """The rows of one participant in all tables."""
+    """The rows for one participant in all tables."""
 
     def __init__(self, data: StudyData, record: Record) -> None:
         self.data, self.record = data, record
@@ -147,7 +147,7 @@ class _Participant:
         return [event for event in self.events if event.event == kind]
 
     def _where(self, event: Event) -> dict[str, Any]:
-        """Return the columns that say to which condition an event belongs."""
+        """Return the columns that identify the condition of an event."""
         return self._place(event.condition)
 
     def _place(self, condition: str) -> dict[str, Any]:
@@ -162,7 +162,7 @@ class _Participant:
         return self.data.lessons.get((self.record.code, condition), ())
 
     def _given_in(self, condition: str) -> list[Demonstration]:
-        """Return the demonstrations and judged runs of a condition, also withdrawn ones."""
+        """Return the demonstrations and judged runs of a condition, including withdrawn ones."""
         entries = self._entries(condition)
         return each_once(each for each in entries if isinstance(each, Demonstration))
 
@@ -206,7 +206,7 @@ class _Participant:
         exams = [demo for demo in kept if demo.kind is Kind.JUDGED and demo.exam]
         learned = [o for e in self._of('learned') if e.condition == name for o in e.options]
         options, known = _newest(learned), self.conditions[name]
-        # Without the files of the lesson, the record has what the options were learned from.
+        # Without the lesson's files, use the counts in the record.
         counts = (
             (len(shown), sum(demo.kind is Kind.NOT_HERE for demo in kept))
             if given
@@ -260,7 +260,7 @@ class _Participant:
             }
 
     def _parts(self) -> list[dict[str, Any]]:
-        """Return a row for each part that was begun, in order of the beginnings."""
+        """Return a row for each started part, in order of the first event."""
         kinds = {e.part: e.kind.value for e in self.record.events if e.kind}
         conditions = {event.part: event.condition for event in self.record.events}
         why = {event.part: event.why for event in self._of('part ended')}
@@ -278,7 +278,7 @@ class _Participant:
         ]
 
     def _answers(self) -> Iterator[dict[str, Any]]:
-        """Yield the row of each answer, with the question as the participant saw it."""
+        """Yield the row of each answer, with the question as shown to the participant."""
         parts = self.plan.parts_of(self.record.place, self.record.number) if self.plan else []
         asked: dict[tuple[str, str], tuple[int, Question, Part]] = {
             (part.key, question.name): (page, question, part)
@@ -333,7 +333,7 @@ class _Participant:
 
 
 def _word(value: Any) -> Any:
-    """Return a flag in words; other values stay."""
+    """Return a bool as 'yes' or 'no', and other values unchanged."""
     return {True: 'yes', False: 'no'}[value] if isinstance(value, bool) else value
 
 
@@ -343,7 +343,7 @@ def _newest(options: Iterable[LearnedOption]) -> list[LearnedOption]:
 
 
 def begun_options(entries: Iterable[Entry]) -> list[str]:
-    """Return the names of the options of a lesson, without deleted ones, in order."""
+    """Return the names of the options of a lesson in order, without deleted ones."""
     names: dict[str, None] = {}
     for entry in entries:
         if isinstance(entry, LessonEvent) and entry.entry == 'option deleted':

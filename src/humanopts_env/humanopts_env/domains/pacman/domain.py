@@ -86,15 +86,15 @@ class PacMan(Domain[PacManState]):
         """
         Create the game.
 
-        :param maze: the name of a maze in this package, the path of a file in Berkeley's notation,
-            or its text. ``parameters`` contain the name or the text, never a path, so that they
-            give the same maze on another machine.
+        :param maze: name of a maze in this package, path of a file in Berkeley's notation, or its
+            text. ``parameters`` never contain a path, so that they give the same maze on another
+            machine.
         :param ghosts: 'random': dangerous ghosts move at random; 'chase': they move towards
             Pac-Man with probability 0.8.
         :param lives: number of lives at the start, 1 to 9.
         :param max_steps: maximum number of steps per episode; longer ones are truncated.
-        :param features: 'directions', all features, or 'paper', those named in the paper. Only
-            the latter is in ``parameters``: files and bags without it have the former.
+        :param features: 'directions' for all features, or 'paper' for those named in the paper.
+            ``parameters`` omits 'directions', the value for files and bags without it.
         :raises MazeError: the maze is unknown or cannot be played.
         :raises DomainError: another parameter is out of range.
         """
@@ -122,7 +122,7 @@ class PacMan(Domain[PacManState]):
         self.actions: Sequence[Action] = tuple(
             Action(name, key, f'go one cell {name}') for name, key in zip(MOVES, KEYS)
         )
-        self.gamma = 0.985  # a longer horizon than 0.97, with which plans score less
+        self.gamma = 0.985  # plans score less with 0.97, a shorter horizon
         self.max_steps = max_steps
         self.explanation = EXPLANATION
         self.primitive_columns = PRIMITIVE_COLUMNS if features == ALL else ()
@@ -136,7 +136,7 @@ class PacMan(Domain[PacManState]):
     def step(
         self, state: PacManState, action: int, rng: np.random.Generator
     ) -> Outcome[PacManState]:
-        """Take one primitive action; one number for each ghost is drawn."""
+        """Take one primitive action, with one random draw per ghost."""
         if not 0 <= action < len(MOVES):
             raise DomainError(f'pacman has no action {action}; it has 0 to {len(MOVES) - 1}')
         if self.is_over(state):
@@ -168,7 +168,7 @@ class PacMan(Domain[PacManState]):
         return notation.decode(self.rules.maze, self.rules.lives, text)
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[PacManState]:
-        """Draw states from games played with several aims, never over."""
+        """Draw states that are not over, from games played with several aims."""
         return sample_games(self.rules, rng, count).states()
 
     def board(self, state: PacManState, shown: Collection[str] | None = None) -> Board:

@@ -1,17 +1,17 @@
 """
 The features of Pac-Man, and the nearest object of each kind, in many games at once.
 
-"Nearest" refers to the steps of a shortest path; of several, it is the first, row by row. A
-direction is the first move of a shortest path; of several, the first in the order of moves. An
-absent object (no pill is left, no ghost is scared) has the last value of row, column, direction
-and distance, "none".
+The nearest object has the shortest path; of several, it is the first, row by row. A direction is
+the first move of a shortest path; of several, the first in the order of moves. For an absent
+object (no pill is left, no ghost is scared), row, column, direction and distance have their last
+value, "none".
 
-There are two lists. Directions give a policy away: "go to the closest food" takes the first move
-of a shortest path, and a few demonstrations suffice to copy it; directions have the same meaning
-in every maze. ``PAPER`` has the features named by Subramanian, Isbell and Thomaz (2011, section
-3): positions and the remaining scared time of ghosts. A policy over positions must be demonstrated
-cell by cell, and is specific to one maze. The meals of the last step are in both lists: no other
-feature shows that food was eaten.
+There are two feature lists. ``ALL`` also has directions, which reveal a policy: "go to the closest
+food" takes the first move of a shortest path, and a few demonstrations suffice to learn it. They
+have the same meaning in every maze. ``PAPER`` has the features named by Subramanian, Isbell and
+Thomaz (2011, section 3): positions and the remaining scared time of ghosts. A policy over
+positions must be demonstrated cell by cell, and is specific to one maze. The meals of the last
+step are in both lists, since no other feature shows that food was eaten.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 DIRECTIONS = (*MOVES, 'here', 'none')
-NOWHERE = STAY + 1  # index of the last
+NOWHERE = STAY + 1  # index of 'none'
 ALL, PAPER = 'directions', 'paper'  # feature lists
 FEATURE_LISTS = (ALL, PAPER)
 THINGS = {  # prefix of feature names: words for people
@@ -37,7 +37,7 @@ THINGS = {  # prefix of feature names: words for people
     'danger': 'the nearest dangerous ghost',
     'prey': 'the nearest scared ghost',
 }
-STEPS, NUMBER, FIRST = 16, 3, 7  # of a key: shifts of steps and number; mask of the move
+STEPS, NUMBER, FIRST = 16, 3, 7  # bits of a key: shifts of steps and number; mask of the move
 FEW = 9  # maximum number of objects with keys compared one by one
 
 
@@ -103,7 +103,7 @@ def _way(rules: Rules, name: str, words: str) -> list[Feature]:
 
 
 class FeatureReader:
-    """Compute all features of many games at once, with precomputed tables of a maze."""
+    """Computes all features of many games at once, with precomputed tables of a maze."""
 
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
@@ -175,7 +175,7 @@ def nearest_key(keys: Keys, cells: Ints, taken: Keys) -> Keys:
     :param cells: (..., N) start cells.
     :param taken: (N, K + 1) marks of ``PacManBatch``.
     """
-    if keys.shape[1] < FEW:  # rows of keys are short: a column at a time
+    if keys.shape[1] < FEW:  # short rows of keys: one column at a time
         left = keys.T.take(cells, axis=1)
         marks = taken.T if cells.ndim == 1 else taken.T[:, None]
         least: Keys = np.bitwise_or(left, marks, out=left).min(axis=0)
@@ -187,7 +187,7 @@ def nearest_key(keys: Keys, cells: Ints, taken: Keys) -> Keys:
 
 def steps_to(batch: PacManBatch, thing: str, cells: Ints) -> Ints:
     """
-    Return the steps from cells to the nearest object of a kind, (..., N); ``far``: none.
+    Return the steps from cells to the nearest object of a kind, (..., N); ``far`` if none.
 
     :param thing: one of ``THINGS``.
     :param cells: start cells, (..., N).
@@ -225,7 +225,7 @@ def steps_after(batch: PacManBatch, thing: str, wall: int) -> Ints:
 
 
 def fear_of_prey(batch: PacManBatch) -> Ints:
-    """Return the remaining scared steps of the nearest scared ghost, (N,); 0: none."""
+    """Return the remaining scared steps of the nearest scared ghost, (N,); 0 if none."""
     paths, scared = batch.rules.paths, batch.scared > 0
     steps = np.where(scared, paths.distance[batch.pacman, batch.ghosts], paths.far)
     nearest = scared & (steps == steps.min(axis=0, initial=paths.far))

@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from humanopts_env.domains.pacman.domain import PacMan
 
 AFAR = 1000  # distance of an object that is absent or farther away
-MAX_PLAYED = 300  # maximum number of steps before a sampled state
+MAX_PLAYED = 300  # steps before a sampled state
 CHANGES = 0.1  # probability of a new aim per step
 AIMS = ('food', 'pill', 'prey', 'fruit')  # possible targets of Pac-Man
 WANTS = ('food', 'food', 'pill', 'prey', None)  # aims, each equally likely; None: random moves
 
 
-PLANNING_FEATURES = {  # numbers in buckets: value k holds ``edges[k - 1] <= number < edges[k]``
+PLANNING_FEATURES = {  # edges of buckets: in bucket k, ``edges[k - 1] <= number < edges[k]``
     'danger': (2, 3, 4, 6, AFAR),  # arrival at Pac-Man's cell
     'danger_to_food': (2, 3, 4, 6),  # arrival after the first step to the nearest food
     'danger_to_pill': (2, 3, 4),
@@ -46,7 +46,7 @@ PLANNING_FEATURES = {  # numbers in buckets: value k holds ``edges[k - 1] <= num
     'food_distance': (2, 3, 5, 9),
     'pill_distance': (2, 4, 7, 11, AFAR),
     'prey_distance': (2, 4, 7, 11, AFAR),  # nearest scared ghost
-    'prey_time': (0, 3, 8),  # steps scared beyond those to reach it
+    'prey_time': (0, 3, 8),  # scared steps left after reaching it
     'danger_to_fruit': (2, 3, 4),
     'fruit_distance': (4, 10, AFAR),
     'food_left': (6, 36),
@@ -60,7 +60,7 @@ BUCKETS = np.array(  # (P, AFAR + 2) bucket of each number from -1 to AFAR
     ],
     dtype=np.int32,
 )
-FIRST_BUCKETS = np.arange(1, BUCKETS.size, BUCKETS.shape[1])[:, None]  # (P, 1) those of number 0
+FIRST_BUCKETS = np.arange(1, BUCKETS.size, BUCKETS.shape[1])[:, None]  # (P, 1) indices of number 0
 
 
 class PacManGames:
@@ -169,7 +169,7 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
 
     Each game is played for a number of steps drawn uniformly below MAX_PLAYED, and restarted when
     it ends. Pac-Man keeps an aim for a while: he goes towards the nearest food, pill or scared
-    ghost, or moves at random, also if his aim is not in the maze.
+    ghost, or moves at random. He also does so if his aim is not in the maze.
 
     :param count: number of games.
     """

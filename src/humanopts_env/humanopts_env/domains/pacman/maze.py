@@ -2,7 +2,7 @@
 Mazes as text, in the notation of the Berkeley Pac-Man projects.
 
 ``%`` is a wall, ``.`` food, ``o`` a capsule (power pill), ``P`` Pac-Man and ``G`` a ghost; ghosts
-may also be numbered ``1`` to ``4``. A space is open floor. Space around lines and empty lines
+may also be numbered ``1`` to ``4``. A space is open floor. Spaces around lines and empty lines
 around the text are ignored.
 """
 
@@ -21,7 +21,7 @@ Cell = tuple[int, int]  # row, 0 = north; column, 0 = west; both inside the bord
 
 
 class MazeError(DomainError):
-    """A text is not a maze; the message says what is wrong and where."""
+    """A text is not a maze; the message gives the reason and location."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +37,8 @@ class Maze:
     rows: int = field(compare=False)  # inside the border
     cols: int = field(compare=False)
     cells: tuple[Cell, ...] = field(compare=False)
-    start: int = field(compare=False)  # of Pac-Man
-    homes: tuple[int, ...] = field(compare=False)  # of the ghosts
+    start: int = field(compare=False)  # Pac-Man's cell
+    homes: tuple[int, ...] = field(compare=False)  # cells of the ghosts
     food: tuple[int, ...] = field(compare=False)
     pills: tuple[int, ...] = field(compare=False)
     from_middle: tuple[int, ...] = field(compare=False)  # indices of food, nearest first
@@ -54,7 +54,7 @@ def load_maze(source: str) -> Maze:
     """
     Return a maze.
 
-    :param source: the name of a maze in this package, the path of a file, or the text itself.
+    :param source: name of a maze in this package, path of a file, or the text itself.
     :raises MazeError: the maze is unknown, or its text is not a maze.
     """
     if '\n' in source or source.startswith(WALL):
@@ -78,9 +78,9 @@ def parse_maze(text: str) -> Maze:
     """
     Read a maze from its text.
 
-    :raises MazeError: unequal lines, an unknown character, an open border, too large, not exactly
-        one Pac-Man, no food, too many ghosts, or food, a pill or a ghost that Pac-Man cannot
-        reach.
+    :raises MazeError: the maze is too large, or has unequal lines, an unknown character, an open
+        border, not exactly one Pac-Man, no food, too many ghosts, or food, a pill or a ghost that
+        Pac-Man cannot reach.
     """
     lines = [line.strip() for line in text.strip().splitlines()]
     _check_shape(lines)

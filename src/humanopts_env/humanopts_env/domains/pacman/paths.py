@@ -55,7 +55,7 @@ class Paths:
         self.far = int(np.iinfo(distance.dtype).max)
 
 
-maze_paths = lru_cache(maxsize=16)(Paths)  # computed once per maze
+maze_paths = lru_cache(maxsize=16)(Paths)
 
 
 def _steps(maze: Maze) -> Ints:
@@ -93,7 +93,7 @@ def _allowed(passable: Flags) -> Flags:
 
 
 def _best(after: NDArray[np.unsignedinteger], allowed: Flags, *, nearest: bool) -> Masks:
-    """Return (C, 5, C): the allowed moves with the least (or the greatest) distance after."""
+    """Return (C, 5, C): the allowed moves after which the distance is least (or greatest)."""
     count = len(after)
     best = np.empty((count, 5, count), dtype=np.uint8)
     extreme, worst = (np.min, np.iinfo(after.dtype).max) if nearest else (np.max, 0)

@@ -1,7 +1,7 @@
 """
 The Pac-Man options of the paper, and one for the fruit, as reference options.
 
-Subramanian, Isbell and Thomaz (2011), table 1, which has no option for the fruit. Options are
+The options of the paper are in table 1 of Subramanian, Isbell and Thomaz (2011). Options are
 evaluated in many games at once; one state is a batch of one. When the game is over, no option can
 start and all have ended.
 """
@@ -32,7 +32,7 @@ AVOID_GHOST = 'avoid ghost'
 NEAREST_PILL = 'go to the nearest power pellet'
 EAT_GHOST = 'eat the ghost'
 TO_FRUIT = 'go to the fruit'
-DANGER = 4  # steps; nearer dangerous ghosts are avoided
+DANGER = 4  # maximum steps to a dangerous ghost that is avoided
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class PacManOption(JudgedOption):
     features: tuple[str, ...]
     definition: str
     thing: str  # one of THINGS
-    meal: int  # ends when this was eaten; 0: goes away from the object while it is near
+    meal: int  # ends when this was eaten; 0: moves away from the object while it is near
 
     def judge_states(self, states: Sequence[PacManState]) -> Judgement:
         """Evaluate N states in one batch."""
@@ -68,7 +68,7 @@ class PacManOption(JudgedOption):
         return Judgement(starts, ~starts | (batch.ate & self.meal > 0), best & starts[:, None])
 
     def reached(self, state: PacManState) -> bool:
-        """Return whether the option has ended, and Pac-Man was not caught for the last time."""
+        """Return whether the option has ended, and not only because the game is over."""
         return bool(self.goal(PacManBatch.from_states(self.rules, [state]))[0])
 
     def goal(self, batch: PacManBatch) -> Flags:

@@ -1,28 +1,28 @@
 """
 Pac-Man's rules, for many games at once; one game is a batch of one.
 
-A step, in this order:
+Order of events in a step:
 
 1. Pac-Man and the ghosts move at the same time; the ghosts react to his cell before the move. A
    move into a wall has no effect.
 2. Pac-Man eats food, a pill or fruit in his cell.
 3. He meets the ghosts that are now in his cell or have swapped cells with him. He eats the scared
-   ones; they are immediately home and dangerous. A dangerous one costs him a life, unless the last
-   food was just eaten: Pac-Man and all ghosts return to their start cells; food, pills and fruit
-   stay.
+   ones; they are immediately home and dangerous again. A dangerous ghost costs him a life, unless
+   he has just eaten the last food: Pac-Man and all ghosts return to their start cells; food, pills
+   and fruit stay.
 4. The times of scared ghosts and of fruit decrease by one step.
 
 A pill scares all ghosts for 40 steps. They may turn back once, then move away from Pac-Man at half
-speed: in steps with an even remaining time. After the 30th and the 65th food, fruit is in the cell
-of the remaining food nearest to the middle for 60 steps.
+speed: in steps with an even remaining time. After the 30th and the 65th food, fruit appears in the
+cell of the remaining food nearest to the middle, for 60 steps.
 
 The only randomness is one draw per ghost and step, a whole number below DRAWS, whether the ghost
 moves or not. A chasing ghost follows a shortest path towards Pac-Man with draws below CHASE_DRAWS,
 and otherwise moves like a random one. If k moves are equally good, the draw selects each of them
 with equal probability.
 
-N games, G ghosts, C cells, K food, P pills; one array per part of the state. Rare events (meeting
-a ghost, eating a pill, fruit) are computed only for the games in which they happen.
+Axes: N games, G ghosts, C cells, K food, P pills. There is one array per part of the state. Rare
+events (meeting a ghost, eating a pill, fruit) are computed only in the games where they happen.
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ Keys = NDArray[np.unsignedinteger]
 
 FOOD_POINTS, PILL_POINTS, FRUIT_POINTS, GHOST_POINTS = 10, 50, 100, 200
 ATE_FOOD, ATE_PILL, ATE_FRUIT, ATE_GHOST = 1, 2, 4, 8  # bits of PacManState.ate
-FRUIT_AFTER = (30, 65)  # food eaten
+FRUIT_AFTER = (30, 65)  # amounts of food eaten
 DRAWS, CHASE_DRAWS = 60, 48  # 48 / 60 = 0.8; both and their difference are divisible by 1 to 4
 GHOST_RULES = ('random', 'chase')
 ONE_GAME = np.zeros(1, dtype=np.intp)
@@ -189,7 +189,7 @@ class Rules:
 
     @cached_property
     def _latest(self) -> list[tuple[PacManState, 'PacManBatch']]:
-        """The result of the latest ``advance``: building its batch takes as long as a step."""
+        """The result of the latest ``advance``, kept because building its batch is slow."""
         return []
 
     def can_follow(self, state: PacManState, move: int, successor: PacManState) -> bool:
@@ -224,12 +224,12 @@ class PacManBatch:
     :ivar headings: (G, N) last moves; STAY: none.
     :ivar scared: (G, N) remaining scared steps of each ghost.
     :ivar timers: (G + 1, N) ``scared`` and ``fruit``, which decrease by one per step.
-    :ivar food_taken: (N, K + 1).
-    :ivar pills_taken: (N, P + 1).
+    :ivar food_taken: (N, K + 1) marks of food.
+    :ivar pills_taken: (N, P + 1) marks of pills.
     :ivar food_left: (N,) number of food left.
     :ivar fruit: (N,) remaining steps of the fruit.
     :ivar fruit_at: (N,) cell of the fruit; undefined without fruit.
-    :ivar lives: (N,).
+    :ivar lives: (N,) remaining lives.
     :ivar score: (N,) points.
     :ivar ate: (N,) masks of the last step's meals.
     """
@@ -317,7 +317,7 @@ class PacManBatch:
         return states
 
     def take(self, games: NDArray[Any]) -> 'PacManBatch':
-        """Return copies of chosen games by indices (M,), in any order, with repetitions."""
+        """Return copies of the games with indices (M,), in any order, possibly repeated."""
         taken = self.taken.take(games, axis=0)
         return PacManBatch(self.rules, self.numbers.take(games, axis=1), taken)
 
@@ -326,7 +326,7 @@ class PacManBatch:
         return PacManBatch(self.rules, self.numbers[:, first:], self.taken[first:])
 
     def restart(self, games: NDArray[Any]) -> None:
-        """Restart chosen games by indices (M,)."""
+        """Restart the games with indices (M,)."""
         self.numbers[:, games] = self.rules.first_game.numbers
         self.taken[games] = self.rules.first_game.taken
 

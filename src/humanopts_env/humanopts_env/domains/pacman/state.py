@@ -12,7 +12,7 @@ FRUIT_STEPS = 60
 EATEN = ('food', 'power pill', 'fruit', 'ghost')  # bits of ``PacManState.ate``
 HEADINGS = (*MOVES, 'none')
 NO_CELL = -1
-MAX_SCORE = 10**9  # in a decoded state text
+MAX_SCORE = 10**9  # in a decoded state
 _GHOST = re.compile(rf'ghost (\d+),(\d+) heading ({"|".join(HEADINGS)}) scared (\d+)')
 _STATE = re.compile(
     r'pacman (\d+),(\d+)((?: ghost \S+ heading \S+ scared \d+)*) food ([0-9a-f]+) '
@@ -39,10 +39,10 @@ class PacManState:
     ghosts: tuple[Ghost, ...]
     food: int  # bit k: food k is left
     pills: int  # bit k: pill k is left
-    fruit: int  # remaining steps of the fruit; 0: none
+    fruit: int  # remaining steps of the fruit; 0 if none
     fruit_at: int  # cell of the fruit; NO_CELL: none
     lives: int
-    score: int  # points earned
+    score: int
     ate: int  # bit k: the last step ate EATEN[k]
 
 
