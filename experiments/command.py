@@ -166,7 +166,7 @@ def reproduce(
     except OSError as error:
         raise CommandError(f'cannot write in {out}: {error.strerror}') from error
     except KeyboardInterrupt:
-        text = 'interrupted; the same command goes on from here'
+        text = 'interrupted; the same command continues from here'
         print(f'humanopts reproduce: {text}', file=sys.stderr)
         return 130
     for failure in missing:

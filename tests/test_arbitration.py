@@ -73,7 +73,7 @@ def test_an_unknown_or_late_execution_is_refused(acting: Acting) -> None:
         '',
     )
     known = 'run_to_end, interrupted, modular_mass, modular_strongest'
-    assert result.detail == f"no execution 'at_random'; there is {known}"
+    assert result.detail == f"unknown execution 'at_random'; choose from {known}"
     answer = acting.change('at_random')
     assert (answer.status, answer.detail) == (answer.STATUS_BAD_REQUEST, result.detail)
     assert acting.change('').status == answer.STATUS_BAD_REQUEST
@@ -96,7 +96,7 @@ def test_a_plan_stops_an_option_of_any_client(acting: Acting) -> None:
     ('fields', 'status', 'says'),
     [
         ({'execution': 'interrupted'}, 'BAD_REQUEST', 'give its plan_id'),
-        ({'execution': 'later'}, 'BAD_REQUEST', "no execution 'later'; there is run_to_end"),
+        ({'execution': 'later'}, 'BAD_REQUEST', "unknown execution 'later'; choose from"),
         (
             {'execution': 'modular_mass', 'plan_id': 'mine'},
             'BAD_REQUEST',

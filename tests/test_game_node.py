@@ -231,7 +231,7 @@ def test_control_is_free_at_once_when_the_terminal_is_started_again_or_ends(
                 return not player.controls[-1].holder
 
             shared.until(is_free, 'control to be free')
-            assert player.controls[-1].reason == '/terminal was started again'
+            assert player.controls[-1].reason == '/terminal was restarted'
             player.hold(True, again.publisher_id)
             assert player.controls[-1].holder_id == again.publisher_id
             again.set_status(NodeStatus.STATE_STOPPING)

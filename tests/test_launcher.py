@@ -315,7 +315,7 @@ def test_a_stopped_node_is_reported_and_a_stopped_server_does_not_block_the_end(
     os.kill(pid, signal.SIGCONT)
     live.until(lambda: not launcher.check() and len(said) > 1, 'another line')
     stopped = f'the node game is stopped; kill -CONT {pid} resumes it'
-    assert said == [stopped, 'the node game goes on']
+    assert said == [stopped, 'the node game continues']
     assert launcher.ends == []
     server = psutil.Process(pid).parent()
     server.suspend()

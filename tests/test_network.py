@@ -177,7 +177,7 @@ def test_where_no_network_comes_up_it_says_so_and_goes_on(
     monkeypatch.setattr(workarounds, '_NETWORK_WAIT', 0.3 if settings is not AWAY else 0.0)
     os.environ.update(settings)
     prepare_discovery()
-    assert f'no network is up towards {whom}:' in capfd.readouterr().err
+    assert f'no network connection to {whom}:' in capfd.readouterr().err
     assert PROFILES[0] in os.environ
 
 
@@ -188,7 +188,7 @@ def test_a_graph_on_one_machine_needs_no_network(cable: list[bool]) -> None:
 
 
 FAULTS = [
-    (RANGE, 'OFF', 'no node finds another'),
+    (RANGE, 'OFF', 'nodes cannot find each other'),
     (RANGE, 'localhost', 'choose from LOCALHOST, SUBNET'),
     (PEERS, '10.0.0.1 10.0.0.2', 'not a known machine'),
     (PEERS, '10.0.0.1;fe80::1', 'not an IPv4 address'),

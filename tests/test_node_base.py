@@ -176,7 +176,7 @@ def test_a_node_that_was_stopped_for_too_long_ends_and_says_so(
     node.go_on()
     if status:
         assert node.ended() == status
-        assert 'other nodes may not hear it any more' in node.said()
+        assert 'other nodes may have lost it' in node.said()
     else:
         assert node.kill(signal.SIGTERM) == status
 

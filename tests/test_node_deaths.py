@@ -90,7 +90,7 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
         assert f'humanopts: {said}; its ' in command.errors
         assert said in conductor or node == 'recorder'  # which was away
         assert said in (tmp_path / f'out/log/{node}.log').read_text('utf-8')
-        summed = f'the node {node} ended once ({KILLED}) and was started again\n'
+        summed = f'the node {node} ended once ({KILLED}) and was restarted\n'
         assert f'humanopts demo: {summed}' in command.errors
     found = json.loads((tmp_path / 'out' / 'summary.json').read_text('utf-8'))
     assert [(e['node'], e['how']) for e in found['ended_nodes']] == [(n, KILLED) for n in ended]

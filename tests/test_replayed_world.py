@@ -143,7 +143,7 @@ def test_a_game_is_begun_in_any_state_that_was_played() -> None:
     assert begun is not None
     assert (begun.state, begun.features) == (played.state, played.features)
     for text in (f'{played.state}4', 'seed 3 actions', 'seed -1 actions -', 'seed 07 actions 0'):
-        with pytest.raises(StateError, match='one reads "seed 7 actions 0012"'):
+        with pytest.raises(StateError, match='write one like "seed 7 actions 0012"'):
             Orchard().decode(text)
 
 

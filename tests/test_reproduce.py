@@ -90,7 +90,7 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_no_process(
         command.until(lambda: len(command.running()) >= 2, 'two processes compute')
         command.send(signal.SIGINT)
         assert command.ended(30) == 130, command.errors
-        assert 'goes on from here' in command.errors
+        assert 'continues from here' in command.errors
         assert 'Traceback' not in command.errors
         command.gone(20)  # the tracker of resources ends after the others
     finally:

@@ -205,7 +205,7 @@ def test_plays_in_a_table_become_demonstrations_of_a_lesson(
     [
         (['--name', '1=a'], 'to keep segments, give both --name and --out'),
         (['--out', 'x', '--name', '9=a'], "--name '9=a': there is no kind 9, only 1 to 3"),
-        (['--out', 'x', '--name', 'a'], "--name 'a' does not read like 1=OPTION"),
+        (['--out', 'x', '--name', 'a'], "--name 'a' is not of the form 1=OPTION"),
         (['--event', 'colour'], 'has no feature colour; there is '),
     ],
 )

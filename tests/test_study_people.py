@@ -136,7 +136,7 @@ class People:
         while words not in (shown := page.panel()):
             if 'in line' in shown:
                 self.waited.add(code)
-            assert 'cannot go on' not in shown, f'{code}: {shown}'
+            assert 'cannot continue' not in shown, f'{code}: {shown}'
             assert not self.failed
             assert time.monotonic() < deadline, f'no {words} for {code}: {shown}'
             if keys and before in shown and time.monotonic() - pressed > AGAIN:

@@ -52,7 +52,7 @@ class Lease:
         if ended:
             return f'{self._holder} has ended' if publisher_id == self._holder else ''
         again = new and publisher_id != self._holder and _node(publisher_id) == _node(self._holder)
-        return f'{_node(publisher_id)} was started again' if again else ''
+        return f'{_node(publisher_id)} was restarted' if again else ''
 
     def check(self) -> str:
         """Count a check; return the reason why the lease ends now, or an empty text."""

@@ -298,7 +298,7 @@ def test_whatever_the_holder_publishes_renews_it_and_nobody_else() -> None:
 
 
 def test_a_holder_that_is_started_again_or_ends_loses_it_at_once() -> None:
-    assert leased(HOLDER).note_status(AGAIN) == '/anna was started again'
+    assert leased(HOLDER).note_status(AGAIN) == '/anna was restarted'
     assert leased(HOLDER).note_status(HOLDER, ended=True) == '/anna#1 has ended'
     assert not leased(HOLDER).note_status(OTHER)
     assert not leased(HOLDER).note_status(OTHER, ended=True)

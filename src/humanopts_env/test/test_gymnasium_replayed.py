@@ -298,7 +298,7 @@ def test_an_extractor_that_cannot_be_used_is_refused(
     ('more', 'text'),
     [
         ("RANGES = {'pace': (0, 1)}", "RANGES has 'pace', which is not a feature; there are x"),
-        ("RANGES = {'x': 3}", r'the range of x is 3, and one reads \(0.0, 1.5\)'),
+        ("RANGES = {'x': 3}", r'the range of x is 3; write one like \(0.0, 1.5\)'),
         ("RANGES = {'x': ('a', 'b')}", r"x is 1, and its range is \('a', 'b'\)"),
         ("QUESTIONS = {'y': 'why'}", "QUESTIONS has 'y'"),
         ("ACTIONS = ['west']", 'has 3 actions, and ACTIONS names 1'),

@@ -479,7 +479,5 @@ def test_a_robot_is_opened_to_act_in_and_cannot_be_simulated(tmp_path: Path) -> 
     assert open_domain(name, {}) == world().domain
     with pytest.raises(DomainError, match='takes no parameters: change its file'):
         open_domain(name, {'rows': 5})
-    with pytest.raises(
-        NeedsRulesError, match=r'scout.yaml is a robot; this operation needs'
-    ):
+    with pytest.raises(NeedsRulesError, match=r'scout.yaml is a robot; this operation needs'):
         make_domain(name)

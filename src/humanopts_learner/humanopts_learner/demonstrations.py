@@ -302,7 +302,7 @@ def option_name_fault(name: str) -> str:
 
 def _text_fault(what: str, text: str) -> str:
     if len(text) > MAX_NAME:
-        return f'{what} has {len(text)} characters; {MAX_NAME} is the most'
+        return f'{what} has {len(text)} characters; at most {MAX_NAME} are allowed'
     return '' if text.isprintable() else f'{what} has characters that cannot be printed'
 
 

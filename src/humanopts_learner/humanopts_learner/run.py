@@ -218,7 +218,7 @@ class Run:
         self.name = '' if option is None else option.name
         self.max_steps = max_steps or (domain if option is None else option).max_steps
         if not self.max_steps:
-            detail = f'{domain.name} never cuts an episode off: give max_steps'
+            detail = f'{domain.name} has no step limit: give max_steps'
             raise RefusedError(RunStatus.BAD_REQUEST, detail)
         if not position[0] or domain.is_over(state):
             raise RefusedError(RunStatus.NO_EPISODE)

@@ -87,7 +87,7 @@ def test_missing_repeated_and_late_messages_are_counted_by_publisher(
     assert found['findings'] == [
         '3 messages were sent and are missing (in 1 streams)',
         '1 messages are there more than once (in 1 streams)',
-        '1 messages are after one that was sent later (in 1 streams)',
+        '1 messages come after one that was sent later (in 1 streams)',
     ]
 
 

@@ -215,7 +215,7 @@ def test_a_topic_that_is_defined_in_two_ways_is_reported(tmp_path: Path) -> None
     for name, message in (('bag', GameState()), ('other', ActionCommand())):
         write_messages(tmp_path / name, [('/x', message)])
     shutil.copy(tmp_path / 'other' / 'other_0.mcap', tmp_path / 'bag' / 'bag_1.mcap')
-    assert '/x is defined in several ways' in open_bag(tmp_path / 'bag').damage
+    assert '/x has several definitions' in open_bag(tmp_path / 'bag').damage
 
 
 def test_a_split_that_cannot_be_described_stops_the_writer_and_keeps_what_was_written(

@@ -294,8 +294,8 @@ def test_a_dataset_that_cannot_be_written_leaves_nothing(
     [
         (['options/p1/fetch.json', 'notes.txt'], ''),
         ([], 'has no attached files'),
-        (['../outside.json'], 'of the name'),
-        (['/etc/outside.json'], 'of the name'),
+        (['../outside.json'], 'with unsafe name'),
+        (['/etc/outside.json'], 'with unsafe name'),
     ],
 )
 def test_attached_files_come_out_below_the_folder_only(

@@ -131,7 +131,7 @@ def test_advice_for_earlier_answers_is_not_shown(pacman: Desk) -> None:
     pacman.world.summaries = [found]
     shown = pacman.see()
     assert 'for your earlier answers: show one more' in shown
-    assert 'Nothing that you chose' not in shown
+    assert 'No chosen feature tells' not in shown
     assert 'a conflict' not in shown
 
 

@@ -278,7 +278,7 @@ def feature_in(name: str, key: str, declared: Any, question: str) -> Feature:
         if all(isinstance(each, int | float) for each in (low, high)) and low < high:
             return Feature.continuous(key, question, float(low), float(high), *given[2:])
     raise DomainError(
-        f'{name}: the range of {key} is {declared!r}, and one reads (0.0, 1.5), (0.0, 1.5, "m"), '
+        f'{name}: the range of {key} is {declared!r}; write one like (0.0, 1.5), (0.0, 1.5, "m"), '
         '(0, 9), (0, 9, "none") or ("wall", "free")'
     )
 

@@ -105,7 +105,9 @@ def derive(domain: ActableDomain, text: str) -> FeatureColumn:
 @lru_cache(maxsize=1000)
 def _derive(domain: str, features: tuple[Feature, ...], text: str) -> FeatureColumn:
     if len(text) > MAX_LENGTH:
-        raise FormulaError(f'the formula has {len(text)} characters; {MAX_LENGTH} is the most')
+        raise FormulaError(
+            f'the formula has {len(text)} characters; at most {MAX_LENGTH} are allowed'
+        )
     try:
         node = ast.parse(text.strip(), mode='eval').body
         depth = _depth(node)
@@ -114,7 +116,9 @@ def _derive(domain: str, features: tuple[Feature, ...], text: str) -> FeatureCol
             f'{text!r} is not a formula; write one like a - 0.5 * b, hypot(a, b) or a > 0.1'
         ) from None
     if depth > MAX_DEPTH:
-        raise FormulaError(f'{text!r} is nested too deeply; {MAX_DEPTH} levels are the most')
+        raise FormulaError(
+            f'{text!r} is nested too deeply; at most {MAX_DEPTH} levels are allowed'
+        )
     name = ast.unparse(node)
     part = _Reader(domain, features).read(node)
     if isinstance(node, ast.Name):

@@ -113,7 +113,7 @@ class ReplayedDomain(Domain[History], ABC):
         actions = tuple(match[2].strip('-').encode().translate(ACTION_OF)) if match else ()
         if match is None or max(actions, default=0) >= len(self.actions):
             raise StateError(
-                f'{text!r} is not a state of {self.name}; one reads "seed 7 actions 0012"'
+                f'{text!r} is not a state of {self.name}; write one like "seed 7 actions 0012"'
             )
         seed = int(match[1])
         if kept := self._worlds.get((seed, actions)):

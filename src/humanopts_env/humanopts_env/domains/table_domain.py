@@ -146,7 +146,7 @@ class TableDomain(SharedTables[S]):
     def decode(self, text: str) -> S:
         if text not in self._texts:
             example = next(iter(self._texts))
-            raise StateError(f'{text!r} is not a state of {self.name}; one reads {example!r}')
+            raise StateError(f'{text!r} is not a state of {self.name}; write one like {example!r}')
         return self._states[self._texts[text]]
 
     @cached_property

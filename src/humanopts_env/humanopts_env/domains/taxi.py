@@ -177,8 +177,8 @@ class Taxi(SharedTables[TaxiState]):
         match = STATE_TEXT.fullmatch(text)
         if match is None:
             raise StateError(
-                f'{text!r} is not a taxi state; one reads "taxi 2,3 passenger R destination B", '
-                'or "passenger aboard"'
+                f'{text!r} is not a taxi state; write one like "taxi 2,3 passenger R destination '
+                'B", or "passenger aboard"'
             )
         row, col, passenger, destination = match.groups()
         place = (*LANDMARKS, 'aboard').index(passenger)

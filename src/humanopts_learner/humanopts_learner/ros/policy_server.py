@@ -138,7 +138,7 @@ class PolicyServer(GoalServer):
             raise GoalError('BAD_REQUEST', _TO_THE_END)
         limit = goal.max_decisions or domain.max_steps
         if not (goal.episodes and limit):
-            text = f'{domain.name} never cuts an episode off: give max_decisions'
+            text = f'{domain.name} has no step limit: give max_decisions'
             raise GoalError('BAD_REQUEST', text if goal.episodes else 'episodes is 0')
         if not 0.0 <= goal.explore <= 1.0:
             raise GoalError('BAD_REQUEST', f'explore is {goal.explore}, not from 0 to 1')
@@ -389,7 +389,7 @@ class PolicyServer(GoalServer):
             self._run_client, request, _RUN_SECONDS, lambda: counts[server] != before
         )
         if answer is None:
-            what = 'was started again' if counts[server] != before else 'did not answer run_option'
+            what = 'was restarted' if counts[server] != before else 'did not answer run_option'
             raise GoalError('FAILED', f'{server} {what}')
         result: OptionResult = answer.result
         return result

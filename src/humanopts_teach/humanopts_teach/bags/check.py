@@ -77,7 +77,7 @@ class Check:
         for name, text in (
             ('missing', 'messages were sent and are missing'),
             ('repeated', 'messages are there more than once'),
-            ('late', 'messages are after one that was sent later'),
+            ('late', 'messages come after one that was sent later'),
         ):
             counts = [getattr(stream, name) for stream in self.streams]
             if total := sum(counts):

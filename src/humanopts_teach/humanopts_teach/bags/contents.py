@@ -101,7 +101,7 @@ def read_domain(bag: Bag) -> Domain:
     name, parameters = _played(bag)
     if 'world_file' in bag.facts and not is_registered(name):
         raise BagError(
-            f'{bag.path}: {name} is a robot, which can only be acted in; this needs a domain that '
+            f'{bag.path}: {name} is a robot; this command needs a domain that '
             'can be simulated; bag info shows what was learned, and bag export writes its tables'
         )
     try:

@@ -213,7 +213,7 @@ class Recording:
                 )
                 if before := found.get(topic.name):
                     if (before.type, before.schema) != (topic.type, topic.schema):
-                        self.note(f'{topic.name} is defined in several ways, and read by the last')
+                        self.note(f'{topic.name} has several definitions; the last one is used')
                     topic.messages += before.messages
                 found[topic.name] = topic
         return dict(sorted(found.items()))

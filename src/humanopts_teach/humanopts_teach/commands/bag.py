@@ -107,7 +107,7 @@ def check(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Show what is damaged or missing in a bag; then the status is 1."""
+    """Show damaged and missing data in a bag; exit with status 1 if any."""
     from humanopts_teach.bags import BagWriteError
     from humanopts_teach.bags.check import check_bag
     from humanopts_teach.bags.check import repair as write_repaired
@@ -268,7 +268,7 @@ def segment(
     *,
     cutting: SegmentOptions,
 ) -> int:
-    """Cut whole plays into segments, and make those that you name demonstrations."""
+    """Cut whole plays into segments, and turn the named ones into demonstrations."""
     from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.commands.segments import cut_plays
     from humanopts_teach.plays import plays_in_bag

@@ -48,7 +48,7 @@ _SERVER = 'browser'  # name reserved by the server; graphs have namespaces seat_
 _TOKEN_BYTES = 12
 _TOKEN_FILE = 'token'  # in the folder of a study
 _CANNOT_GO_ON = N_(
-    'The study cannot go on just now. What you have done is saved; please tell the person who '
+    'The study cannot continue right now. What you have done is saved; please tell the person who '
     'invited you.'
 )
 _STOPPING_SECONDS = 40.0  # for all processes of a graph to end; each has less time

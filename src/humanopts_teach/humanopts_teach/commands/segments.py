@@ -124,7 +124,7 @@ def _names(given: list[str], kinds: int) -> dict[int, str]:
     for text in given:
         number, equals, name = text.partition('=')
         if not (equals and name.strip() and number.isascii() and number.isdecimal()):
-            raise CommandError(f'--name {text!r} does not read like 1=OPTION')
+            raise CommandError(f'--name {text!r} is not of the form 1=OPTION')
         if not 1 <= int(number) <= kinds:
             raise CommandError(f'--name {text!r}: there is no kind {number}, only 1 to {kinds}')
         names[int(number)] = name.strip()

@@ -137,7 +137,7 @@ def check_place(namespace: str) -> None:
     :raises MiddlewareError: ROS cannot start with these settings.
     """
     if not _NAMESPACE.fullmatch(namespace):
-        raise CommandError(f'{namespace!r} is not a namespace; one reads / or /room_1/left')
+        raise CommandError(f'{namespace!r} is not a namespace; write one like / or /room_1/left')
     check_settings(thorough=True)
 
 

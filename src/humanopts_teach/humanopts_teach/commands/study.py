@@ -75,7 +75,7 @@ def run(
         bool,
         flag(
             '--accept-changes',
-            'accept a plan that was changed since the study began, for those who begin now',
+            'accept a plan changed since the study began; it applies to new participants only',
         ),
     ] = False,
     *,
@@ -115,7 +115,7 @@ def status(
     pilot: PilotOption = False,
     as_json: Annotated[bool, flag('--json', 'print JSON')] = False,
 ) -> int:
-    """Show who takes part, has finished or has left where, and the places of each order."""
+    """Show the progress of each participant, and the places of each order."""
     from humanopts_teach.study.log import StudyLog
     from humanopts_teach.study.progress import participants_table, places_table
     from humanopts_teach.study.protocol import SHOWN_DIGEST
@@ -180,7 +180,7 @@ def check(
     plan: PlanArgument,
     language: Annotated[str, option('LANGUAGE', 'of the screens; default: that of the plan')] = '',
 ) -> int:
-    """Show in order what participants see, with estimated times; a simulated one answers."""
+    """Show all screens in order, with estimated times; a simulated participant answers."""
     from tempfile import TemporaryDirectory
 
     from humanopts_teach.commands.study_check import PlanCheck

@@ -225,7 +225,7 @@ def write_attached(bag: Bag, out: Path) -> list[Path]:
     for file in bag.attached():
         path = out / file.name
         if out.resolve() not in path.resolve().parents:
-            raise ExportError(f'{bag.path} has an attached file of the name {file.name!r}')
+            raise ExportError(f'{bag.path} has an attachment with unsafe name {file.name!r}')
         if path.exists():
             raise ExportError(f'{path} exists already; name another folder')
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -292,7 +292,7 @@ class Launcher:
                 continue
             if stopped != running.stopped:
                 running.stopped = stopped
-                what = f'is stopped; kill -CONT {pid} resumes it' if stopped else 'goes on'
+                what = f'is stopped; kill -CONT {pid} resumes it' if stopped else 'continues'
                 self.report(f'the node {running.spec.name} {what}')
 
     def _end(self, running: _Running, deadline: float) -> str:

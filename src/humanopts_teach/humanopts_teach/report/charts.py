@@ -34,7 +34,7 @@ LEARNING = {  # title and unit of each chart
     'initiation': ('Initiation: held-out error (may it start?)', 'balanced error'),
     'termination': ('Termination: held-out error (does it end?)', 'share of demonstrations'),
     'accuracy': ('Accuracy against the reference option', 'share of states'),
-    'gain': ('Return of the policy less that shown', 'reward units'),
+    'gain': ('Return of the policy minus that shown', 'reward units'),
 }
 ACCURACIES = {
     'policy_accuracy': 'policy',

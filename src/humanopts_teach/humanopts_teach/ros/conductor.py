@@ -239,7 +239,7 @@ class Conductor(NodeBase):
                         paused[name] = text
                         report(f'{self.full_name(name)} is paused: {text}')
                     elif state == _READY and paused.pop(name, None) is not None:
-                        report(f'{self.full_name(name)} goes on')
+                        report(f'{self.full_name(name)} continues')
 
     def wake(self) -> None:
         """End the wait in ``take``; thread-safe."""
@@ -367,7 +367,7 @@ class Conductor(NodeBase):
         ]
         complete = self.recorder is not None and self.recorder.complete
         if self._record and not missing and not complete:
-            missing.append('the recorder has not got every topic')
+            missing.append('the recorder still lacks some topics')
         return missing
 
     def _check_paused(self) -> None:
@@ -384,7 +384,7 @@ class Conductor(NodeBase):
             self._unpaused_at = max(self._unpaused_at, now)
         elif now - self._unpaused_at > _PATIENCE:
             name = paused[0]
-            raise LaunchError(f'{self.full_name(name)} cannot go on: {self._text(name)}')
+            raise LaunchError(f'{self.full_name(name)} cannot continue: {self._text(name)}')
 
     def _check_names(self) -> None:
         """
@@ -401,7 +401,7 @@ class Conductor(NodeBase):
         found = sorted(names.intersection(map(signer, others)) - self._reported)
         if found and self.starting:
             raise OccupiedError(
-                f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop it, '
+                f'{", ".join(found)} already runs in this ROS_DOMAIN_ID and namespace; stop it, '
                 'or choose another --namespace or ROS_DOMAIN_ID'
             )
         self._reported.update(found)

@@ -98,7 +98,7 @@ class ChangedPlanError(StudyError):
     def __init__(self, diff: Sequence[str]) -> None:
         self.diff = diff
         super().__init__(
-            'the plan is not the one with which the study began: put that back, or accept the '
+            'the plan is not the one with which the study began: restore that one, or accept the '
             'change with --accept-changes'
         )
 

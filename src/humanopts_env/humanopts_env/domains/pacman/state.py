@@ -73,8 +73,8 @@ def decode(maze: Maze, lives: int, text: str) -> PacManState:
     match = _STATE.fullmatch(text)
     if match is None or len(text) > 2000:
         raise StateError(
-            f'{text[:200]!r} is not a Pac-Man state; one reads "pacman 8,8 ghost 4,8 heading none '
-            'scared 0 ... food 3f pills 11 fruit none lives 3 score 0 ate nothing"'
+            f'{text[:200]!r} is not a Pac-Man state; write one like "pacman 8,8 ghost 4,8 heading '
+            'none scared 0 ... food 3f pills 11 fruit none lives 3 score 0 ate nothing"'
         )
     row, col, ghosts, food, pills, fruit, life, score, ate = match.groups()
     place, _, steps = ('', '', '0') if fruit == 'none' else fruit.partition(' for ')
