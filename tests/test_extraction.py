@@ -116,7 +116,7 @@ def test_a_search_leaves_the_plans_of_peoples_options_as_they_are(
     assert planning.play('human').status == PolicyResult.STATUS_DONE
     refused = planning.play('automatic+primitive')
     assert refused.status == PolicyResult.STATUS_NO_PLAN
-    assert 'the options changed' in refused.detail
+    assert 'the options have changed' in refused.detail
     both = planning.plan('automatic')
     assert both.status == PlanResult.STATUS_BAD_REQUEST
     assert 'name one of automatic:1, automatic:2' in both.detail

@@ -175,7 +175,7 @@ def test_what_cannot_be_played_is_refused_in_words(planning: Planning) -> None:
     refused(PolicyResult.STATUS_BAD_REQUEST, 'episodes is 0', episodes=0)
     sequence = planning.teach(FIRST_ONLY)
     planning.plan('primitive', options_sequence=sequence)
-    refused(PolicyResult.STATUS_NO_PLAN, 'the options changed')
+    refused(PolicyResult.STATUS_NO_PLAN, 'the options have changed')
     assert planning.play('primitive', episodes=1).status == PolicyResult.STATUS_DONE
 
 

@@ -109,7 +109,7 @@ def test_the_bag_has_the_world_file_and_on_request_the_topics_of_the_robot(
     assert '/scan' not in topics
     assert read_description(bag).name == 'scout'
     assert main(['bag', 'eval', str(path)]) == 2
-    assert 'scout is a robot; this operation needs' in capsys.readouterr().err
+    assert 'scout is a robot; this command needs' in capsys.readouterr().err
 
 
 def test_a_launch_says_what_the_world_waits_for(scout: str, tmp_path: Path) -> None:

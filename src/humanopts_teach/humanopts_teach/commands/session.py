@@ -182,7 +182,7 @@ class Session:
         counts = Counter((end.node, end.how) for end in self.launcher.ends if end.again)
         lines = [
             f'the node {node} ended {"once" if count == 1 else f"{count} times"} ({how}) and was '
-            'started again'
+            'restarted'
             for (node, how), count in sorted(counts.items())
         ]
         if len(self.bags) > 1:
