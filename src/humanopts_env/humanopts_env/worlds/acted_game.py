@@ -53,7 +53,7 @@ class Robot(Protocol):
         """
 
     def text(self, features: tuple[float, ...]) -> str:
-        """Return the state as a text."""
+        """Return the text of the state."""
 
     def ending(self, before: tuple[float, ...], action: str, after: tuple[float, ...]) -> Ending:
         """
@@ -73,7 +73,7 @@ class UnderWay:
     command: Command
     since: float  # start time, s
     cut_short: bool = False
-    done: float | None = None  # time of its end and the start of settling, s; None: not ended
+    done: float | None = None  # time at which it ended and settling began, s; None: not ended
 
 
 class ActedGame(LockStep):
@@ -81,13 +81,14 @@ class ActedGame(LockStep):
     A robot in lock-step.
 
     An accepted command begins an action. ``tick`` ends it at its deadline, and ``finish`` when the
-    robot reports its end; a stop, a person's key or a fault cuts it short. Then the state of the
-    next step is published. If it cannot be sensed after a fault, the last sensed state is used.
+    robot reports its end; a stop, a person's key, a fault or a missed deadline cuts it short. Then
+    the state of the next step is published. If it cannot be sensed after a fault, the last sensed
+    state is used.
 
     :ivar under_way: the action that is carried out; None if none.
     :ivar supervised: whether machines may act only after a person has enabled them.
-    :ivar outside: description of a feature out of its range, so that only a person may act;
-        empty if there is none.
+    :ivar outside: description of a feature out of its range; only a person may then act. Empty if
+        all are in range.
     """
 
     def __init__(

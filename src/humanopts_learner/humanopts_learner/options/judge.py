@@ -1,5 +1,5 @@
 """
-Stopping criteria for teaching an option, measured from starts that were not demonstrated.
+Stopping criteria for teaching an option, measured on held-out or fresh starts where possible.
 
 The paper (section 6) compares the return of the learned policy with that of the demonstrations,
 and uses the cross-validation error of I and beta. Here, the strongest evidence that a domain
@@ -10,21 +10,22 @@ allows is used.
 actions have several outcomes, its success probabilities are computed. If the domain can only be
 simulated or replayed, fresh starts are drawn as the task draws them, and the lower limit of the
 share decides (Wilson 1927). The required share (``_required``) is higher if success is exact,
-because some starts succeed by mistake, and lower with chance. A domain that can only be acted in
-gives *agreement* instead: the share of held-out demonstrations that the option would repeat. If
-runs with chance can only be sampled, both are required, because an end reached by chance does not
-reveal wrong steps. Without chance, *imitation* is also required: from the start of a
-demonstration, the option must reach the end of that demonstration, not just any end.
+because some starts succeed by mistake, and lower if actions have several outcomes. A domain that
+can only be acted in gives *agreement* instead: the share of held-out demonstrations that the
+option would repeat. If actions have several outcomes and runs can only be sampled, both are
+required, because an end reached by chance does not reveal wrong steps. In a domain without chance,
+*imitation* is also required: from the start of a demonstration, the option must reach the end of
+that demonstration, not just any end.
 
 Folds are grouped by demonstration, because rows of one trajectory in both training and test data
 would hide errors. The *return* is also held out: each option runs from the starts of
 demonstrations that it was not trained on. The shortfall is a share of the range between the
 demonstrated return and that of random actions with the same starts, ends and maximum number of
-steps. If random actions return as much, the return is not measurable. Start states chosen because
-the option fails there bias the held-out return downwards. So if all states can be listed, the
-criterion is also met if the shortfall from the best policy is within the threshold at every start.
-With chance, the lower limit of the shortfall counts if there is an exam, which judges outcomes;
-otherwise, its upper limit counts.
+steps. If random actions return as much as the demonstrated ones, the return is not measurable.
+Start states chosen because the option fails there bias the held-out return downwards. So if all
+states can be listed, the criterion is also met if the shortfall from the best policy is within the
+threshold at every start. In a domain with chance, the lower limit of the shortfall counts if there
+is an exam, which judges outcomes; otherwise, its upper limit counts.
 
 *Termination* counts demonstrations, because an error balanced over rows would hide that one run
 in five ends in the wrong place. A criterion that cannot fail is not measurable.
@@ -107,7 +108,7 @@ AMPLE = 4  # the same, where many games run in parallel
 MAX_RUNS = 2000  # their absolute maximum
 REPEATED = 0.5  # smallest share of recorded demonstrations that the option would repeat
 OTHER_END = 0.2  # largest share of demonstrations with another end; one in five may be a slip
-RANDOM_RUNS = 200  # minimum number of random runs, unless fewer are precise
+RANDOM_RUNS = 200  # minimum number of random runs, unless fewer give a precise range
 RANDOM_RUNS_EACH = 10  # random runs per start in each group; at least one group
 PRECISE = 0.1  # largest standard error of a precise range, relative to it
 MAX_GROUPS = 256  # number of cached groups of random runs
@@ -305,12 +306,12 @@ def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
     """
     Estimate the number of further demonstrations needed to meet all criteria.
 
-    Errors come from situations in only one demonstration. Their share decreases roughly as 1 / n,
-    so a value of twice its threshold needs about n more. The distance from a value to its
-    confidence limit decreases as 1 / sqrt(n).
+    Errors come from situations that occur in only one demonstration. Their share decreases roughly
+    as 1 / n, so a criterion at twice its threshold needs about n more demonstrations. The distance
+    from a value to its confidence limit decreases as 1 / sqrt(n).
 
-    :return: 0: none; -1: unknown, because a criterion is not measurable, its value is exact, or
-        further demonstrations cannot reach its threshold.
+    :return: 0: none; -1: unknown, because a criterion is not yet measurable, a share that must be
+        large has no confidence limit, or further demonstrations cannot reach the threshold.
     """
     times = 1.0
     for criterion in criteria:
@@ -386,8 +387,8 @@ def _from_fresh_starts(look: _Look, domain: Domain, threshold: float, decides: b
     Return (N,): whether the option reaches an end like a demonstrated one from each fresh start.
 
     If all runs are right, the smallest number that meets the threshold suffices. Otherwise, there
-    are more runs until the limit can no longer reach the threshold. While another criterion is not
-    met, a few runs give an estimate.
+    are more runs, up to a maximum or until the limit can no longer reach the threshold. While
+    another criterion is not met, a few runs give an estimate.
     """
     option, data, level = look.option, look.data, look.level
     needed = MAX_RUNS if threshold == 1 else runs_needed(threshold, level)
@@ -479,11 +480,12 @@ def _agreement(
     look: _Look, domain: ActableDomain, held_out: HeldOut | None, exam: int
 ) -> Criterion:
     """
-    Return the agreement criterion, in a domain that can only be acted in or sampled.
+    Return the agreement criterion, if runs are impossible, or sampled in a domain with chance.
 
-    An option would repeat a demonstration if it can start there, takes most of its actions, and
-    ends with it. Wrong actions are allowed, because the run may still reach its end. For the same
-    reason, the limit counts only without an exam, which judges outcomes with its own limits.
+    An option would repeat a demonstration if it can start at its start, takes most of the
+    demonstrated actions, and ends in the last demonstrated state. Wrong actions are allowed,
+    because the run may still reach its end. The limit counts only without an exam, because an exam
+    judges outcomes with its own limits.
     """
     if held_out is None:
         return Criterion.of(AGREEMENT, None, REPEATED, count=len(look.data.trajectories))
@@ -546,8 +548,8 @@ def held_out_shortfall(held_out: HeldOut, domain: Domain, seed: int, level: floa
 
     While a run takes the demonstrated actions, it gets the demonstrated outcomes (common random
     numbers); it diverges where the option first acts or ends differently. The limits are those of
-    Student's t for the mean over demonstrations. Without chance, both limits equal the mean, and a
-    surplus over one demonstration does not compensate for a shortfall from another.
+    Student's t for the mean over demonstrations. In a domain without chance, both limits equal the
+    mean, and a surplus over one demonstration does not compensate for a shortfall from another.
     """
     options, demos = held_out.options, held_out.data.trajectories
     limit = held_out_limits(held_out.data, options[0])

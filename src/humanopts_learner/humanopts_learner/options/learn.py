@@ -50,7 +50,7 @@ MAX_STEPS = 200  # per option run, if the domain has no step limit
 FOLDS = 10
 N_TREES = 30  # trees in a forest
 LEAF_SIZE = 5  # minimum on a robot, where sensor values separate any two rows, and thus slips
-SLIP_GAIN = 2.0  # minimum gain of a split of pi on a robot; a single deviation adds at most 2
+SLIP_GAIN = 2.0  # minimum gain of a split of pi on a robot; a single deviation adds less than 2
 
 
 class NotLearnableError(ValueError):

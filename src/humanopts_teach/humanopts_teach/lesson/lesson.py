@@ -98,7 +98,7 @@ class Lesson:
         self._option: OptionHistory | None = None
         self.feedback = Feedback(domain, starts)
         self._examination = Examination(starts)
-        self._attempt: Attempt | None = None  # set with the request for an episode
+        self._attempt: Attempt | None = None  # set when the lesson requests an episode
         self._episode = 0  # of the newest demonstration begun
         self._next = NextStart(domain, starts, self.feedback)
         self._notice = ''
@@ -359,7 +359,7 @@ class Lesson:
         )
 
     def _check_processed(self) -> None:
-        """Stop waiting once learner and start states include the awaited demonstration."""
+        """Stop waiting once summary and start states include the awaited demonstration."""
         if self._option is None or self.feedback.has_processed(self._option):
             self.feedback.awaited = None
             self._check_done()
