@@ -139,7 +139,7 @@ def test_a_participant_whose_network_is_lost_for_a_day_continues_without_a_key(
     ben.driver.get('about:blank')
     cable.mend()
     anna.see('What next?')  # the page has loaded itself again
-    assert 'You are back' in anna.text()
+    assert 'Welcome back' in anna.text()
     anna.click(BUTTON)
     anna.see('Enter shows start 2.')
     assert '1 shown' in anna.text()

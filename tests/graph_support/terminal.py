@@ -24,7 +24,7 @@ ENTER, ESCAPE, CTRL_C = '\r', '\x1b', '\x03'
 
 def run_to_judge(words: str) -> str:
     """Return the question about a run, or which run of the exam is next; empty: none."""
-    asks = r'question \d+ about what|Exam: run \d+ of \d+\.|run \d+ of .* Was it right'
+    asks = r'question \d+ about its|Exam: run \d+ of \d+\.|run \d+ of .* Was it right'
     found = re.search(asks, words)
     return found.group() if found else ''
 

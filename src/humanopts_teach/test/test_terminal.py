@@ -120,7 +120,7 @@ def test_advice_fits_in_80_by_24_even_if_the_criteria_do_not(pacman: Desk) -> No
         )
     ]
     words = ' '.join(line[41:].strip() for line in pacman.sees().split('\n'))
-    assert 'choose what changes there (e questions).' in words
+    assert 'choose one that changes there (e questions).' in words
     assert 'say so before done (s can start again at its end).' in words
     assert 'higher window' in pacman.sees()
     assert 'say so before done' not in pacman.press('s').see()  # the advice was followed
