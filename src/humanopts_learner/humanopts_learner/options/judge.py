@@ -8,9 +8,9 @@ allows is used.
 *Success* is the share of starts from which the option reaches an end like a demonstrated one
 (``KnownEnds``). If all states can be listed, it is exact: the option runs from all starts or, if
 actions have several outcomes, its success probabilities are computed. If the domain can only be
-simulated or replayed, fresh starts are drawn as the task draws them, and the lower limit of the
-share decides (Wilson 1927). The required share (``_required``) is higher if success is exact,
-because some starts succeed by mistake, and lower if actions have several outcomes. A domain that
+simulated or replayed, fresh starts are drawn as the task draws them, and what counts is the lower
+limit of the share (Wilson 1927). The required share (``_required``) is higher if success is exact,
+because some starts succeed by accident, and lower if actions have several outcomes. A domain that
 can only be acted in gives *agreement* instead: the share of held-out demonstrations that the
 option would repeat. If actions have several outcomes and runs can only be sampled, both are
 required, because an end reached by chance does not reveal wrong steps. In a domain without chance,
@@ -122,7 +122,7 @@ class Thresholds:
     """The thresholds of the criteria."""
 
     success: float = 0.95  # smallest share of starts, 0..1
-    return_share: float = 0.1  # largest shortfall of the return, as a share of its range
+    return_share: float = 0.1  # largest shortfall in the return, as a share of its range
     initiation_error: float = 0.05  # largest balanced error, 0..1
     termination_error: float = 0.1  # largest share of demonstrations, 0..1
     exam: int = 5  # runs of the first exam, all of which must be right; 0: no exam
@@ -377,7 +377,7 @@ def _success(
 def _required(share: float, *, exact: bool, chance: bool) -> float:
     """Return the share of starts from which an option must succeed."""
     room = 1.0
-    room -= 0.5 * exact  # some starts succeed by mistake
+    room -= 0.5 * exact  # some starts succeed by accident
     room += 0.5 * chance  # bad luck makes even a right option fail
     return max(1 - room * (1 - share), 0.0)
 
@@ -480,12 +480,12 @@ def _agreement(
     look: _Look, domain: ActableDomain, held_out: HeldOut | None, exam: int
 ) -> Criterion:
     """
-    Return the agreement criterion, if runs are impossible, or sampled in a domain with chance.
+    Return the agreement criterion, for domains without runs or with sampled runs and chance.
 
-    An option would repeat a demonstration if it can start at its start, takes most of the
-    demonstrated actions, and ends in the last demonstrated state. Wrong actions are allowed,
-    because the run may still reach its end. The limit counts only without an exam, because an exam
-    judges outcomes with its own limits.
+    An option would repeat a demonstration if it can start where the demonstration starts, takes
+    most of the demonstrated actions, and ends in the last demonstrated state. Wrong actions are
+    allowed, because the run may still reach its end. The limit counts only without an exam,
+    because an exam judges outcomes with its own limits.
     """
     if held_out is None:
         return Criterion.of(AGREEMENT, None, REPEATED, count=len(look.data.trajectories))

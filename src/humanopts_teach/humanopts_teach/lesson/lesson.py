@@ -480,7 +480,7 @@ class Lesson:
         return _ok('the start state is chosen', state=state, seed=seed)
 
     def _watch(self, transition: Transition) -> bool:
-        """Handle a state of the stream; return whether the view has changed."""
+        """Handle a state from the stream; return whether the view has changed."""
         attempt = self._under_way
         if attempt is None:
             return False
