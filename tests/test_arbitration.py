@@ -96,7 +96,7 @@ def test_a_plan_stops_an_option_of_any_client(acting: Acting) -> None:
     ('fields', 'status', 'says'),
     [
         ({'execution': 'interrupted'}, 'BAD_REQUEST', 'give its plan_id'),
-        ({'execution': 'later'}, 'BAD_REQUEST', "unknown execution 'later'; choose from"),
+        ({'execution': 'later'}, 'BAD_REQUEST', "execution 'later'; choose from run_to_end"),
         (
             {'execution': 'modular_mass', 'plan_id': 'mine'},
             'BAD_REQUEST',

@@ -36,7 +36,7 @@ pytestmark = [pytest.mark.chromium, pytest.mark.live, pytest.mark.timeout(300)]
 
 NASTY = '<b onclick="alert(1)">home</b> & away'
 KEYS = 100  # that are measured
-QUICK = 60.0  # ms to the screen, for a quarter of the keys; the others depend on who else computes
+MEDIAN = 60.0  # ms that a key may take to the screen; the slowest depend on who else computes
 STRANGERS = 2000
 COUNT = 'return window.waits.length'
 REQUEST = 'Network.requestWillBeSent'
@@ -99,10 +99,11 @@ def test_two_people_teach_by_keys_and_by_buttons_while_strangers_flood_the_serve
         for person in people:
             person.window.see('next: start 5 ')
             person.window.see('success')
-        waits = key_to_screen(people[0].window, 10)
+        flooded = key_to_screen(people[0].window, 10)
     finally:
         flood.close()
-    assert waits[len(waits) // 4] < 2 * QUICK  # a flood would delay all keys
+    alone = key_to_screen(people[0].window, 10)  # slow, too, where others compute
+    assert statistics.median(flooded) < 2 * max(statistics.median(alone), MEDIAN)
     assert len(server.command.errors) < 100_000
     assert '\x1b' not in server.command.errors
     people[0].act(Keys.ESCAPE, 'menu')
@@ -201,7 +202,7 @@ def test_key_to_screen_is_quick_and_no_other_server_is_asked(
     window.click('Drive freely')
     window.see('new start')
     waits = key_to_screen(window, KEYS)
-    assert waits[len(waits) // 4] < QUICK
+    assert statistics.median(waits) < MEDIAN
     asked = [
         message['params']['request']['url']
         for entry in window.driver.get_log('performance')
@@ -228,5 +229,5 @@ def test_the_picture_of_an_environment_follows_each_key_and_fits(
             assert image.rect['y'] + image.rect['height'] <= size[1]
             assert 'key distance' in window.driver.find_element(By.CSS_SELECTOR, '.rows').text
         waits = key_to_screen(window, KEYS, Keys.ARROW_LEFT, Keys.ARROW_RIGHT)
-        assert waits[len(waits) // 4] < QUICK
+        assert statistics.median(waits) < MEDIAN
         assert severe(window) == []

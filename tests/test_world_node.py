@@ -263,7 +263,7 @@ def test_the_charger_ends_the_episode_and_the_next_begins_there(course: Course) 
     assert (state.terminated, state.reward) == (True, 4.0)
     refused = course.player.reset('x 3')
     assert refused.status == ResetGame.Response.STATUS_BAD_STATE
-    assert refused.detail == ('scout can only begin where the robot is: drive it to another start')
+    assert refused.detail == 'scout can only begin where the robot is: drive it to another start'
     begun = course.player.reset()
     assert begun.state.startswith('x 6.')
     assert not course.player.do('back').terminated

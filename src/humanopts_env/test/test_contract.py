@@ -120,7 +120,7 @@ WORTHLESS = broken(step=step_with(lambda outcome: replace(outcome, reward=float(
 @pytest.mark.parametrize(
     ('breach', 'claim', 'text'),
     [
-        (DICE, check.the_same_generator_gives_the_same_step, 'another result with the same'),
+        (DICE, check.the_same_generator_gives_the_same_step, 'result with the same generator'),
         (DICE, testing.tables_agree_with_states_and_steps, 'is not in the transitions'),
         (ENDLESS, check.no_step_is_taken_after_the_end, 'it takes a step after the end'),
         (UNNAMED, check.names_and_numbers_are_usable, 'two features have one name'),

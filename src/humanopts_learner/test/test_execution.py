@@ -212,7 +212,8 @@ def test_a_plan_stops_a_run_before_its_next_action() -> None:
 def test_an_execution_is_found_by_its_name_and_none_means_to_the_end() -> None:
     assert execution_named('') is Arbitration.RUN_TO_END
     assert [execution_named(execution) for execution in Arbitration] == list(Arbitration)
-    with pytest.raises(RefusedError, match="unknown execution 'fly'; choose from run_to_end"):
+    text = "unknown execution 'fly'; choose from run_to_end, interrupted"
+    with pytest.raises(RefusedError, match=text):
         execution_named('fly')
 
 

@@ -2,8 +2,7 @@
 Stopping criteria for teaching an option, measured on held-out or fresh starts where possible.
 
 The paper (section 6) compares the return of the learned policy with that of the demonstrations,
-and uses the cross-validation error of I and beta. Here, the strongest evidence that a domain
-allows is used.
+and uses the cross-validation error of I and beta. Here, the strongest possible evidence is used.
 
 *Success* is the share of starts from which the option reaches an end like a demonstrated one
 (``KnownEnds``). If all states can be listed, it is exact: the option runs from all starts or, if
