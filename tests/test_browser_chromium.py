@@ -45,13 +45,15 @@ MEASURE = """
 window.waits = [];
 let pressed = 0;
 document.addEventListener('keydown', () => { pressed = performance.now(); }, true);
-new MutationObserver(() => {
+if (window.observer) window.observer.disconnect();  // of an earlier measurement
+window.observer = new MutationObserver(() => {
   if (!pressed) return;
   const began = pressed, image = document.querySelector('.board img');
   const paint = () => requestAnimationFrame(() => window.waits.push(performance.now() - began));
   pressed = 0;
   image ? image.decode().then(paint) : paint();
-}).observe(document.querySelector('.board'), {childList: true, subtree: true});
+});
+window.observer.observe(document.querySelector('.board'), {childList: true, subtree: true});
 """
 
 
@@ -62,12 +64,19 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield pages
 
 
+def step_of(window: Window) -> int:
+    """Return the step that is shown; 0: none."""
+    found = re.search(r', step (\d+)', window.text())
+    return int(found.group(1)) if found else 0
+
+
 def key_to_screen(
     window: Window, count: int, there: str = Keys.ARROW_UP, back: str = Keys.ARROW_DOWN
 ) -> list[float]:
     """Press two keys in turn that both change the board; return the ms of each key, sorted."""
+    began = step_of(window)
     window.press(*[back] * 4)  # in Taxi: to the lower edge, where no wall is above
-    window.until(lambda: re.search(r'step ([4-9]|\d\d)', window.text()), 'the way there')
+    window.until(lambda: step_of(window) == began + 4, 'the way there')
     window.driver.execute_script(MEASURE)
     for number in range(count):
         window.press(back if number % 2 else there)
