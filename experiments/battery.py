@@ -44,7 +44,7 @@ from experiments.people import Study
 from experiments.trials import Rows, Trial
 
 NAME = 'battery'
-TITLE = 'Plans in a world that can only be acted in'
+TITLE = 'Plans in a world that cannot be simulated'
 LESSONS = 20
 COST = 15.0
 EPISODES = 100  # driven before each plan

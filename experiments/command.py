@@ -71,7 +71,7 @@ def reproduce(
             'paper, transfer: options of one maze in others; or demonstrations: how many an '
             'option takes, by learning method; or worlds: options taught in MiniGrid, LunarLander '
             'and others; or judging: whether what a lesson calls learned is right; or battery: '
-            'plans in a world that can only be acted in; or rover: options taught to a robot; '
+            'plans in a world that cannot be simulated; or rover: options taught to a robot; '
             'or power: how many participants a study needs',
         ),
     ],

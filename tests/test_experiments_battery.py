@@ -1,4 +1,4 @@
-"""``humanopts reproduce battery``: plans in a world that can only be acted in."""
+"""``humanopts reproduce battery``: plans in a world that cannot be simulated."""
 
 import json
 from pathlib import Path

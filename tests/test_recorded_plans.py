@@ -1,4 +1,4 @@
-"""Plans and learning over the graph, in a world that can only be acted in."""
+"""Plans and learning over the graph, in a world that cannot be simulated."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -158,7 +158,7 @@ class Environment:
             run(UV, 'venv', '--quiet', '--python', sys.executable, folder)
             self._pip = UV, 'pip', 'install', '--python', folder
         else:
-            run(sys.executable, '-m', 'venv', folder)
+            run(sys.executable, '-m', 'venv', '--upgrade-deps', folder)
 
     def run(self, program: str, *arguments: object, **variables: str) -> str:
         """Run a program of the environment."""
@@ -271,12 +271,14 @@ def check_refusals(dist: Path, work: Path) -> None:
 def check_all(dist: Path, work: Path) -> None:
     """Teach, record, plan and report with everything installed."""
     report, fresh = work / 'demo', {'XDG_CACHE_HOME': str(work / 'cache')}
-    with check('humanopts[all]') as remarks:
+    with (
+        check('humanopts[all]') as remarks,
+        loops(remarks, 'from a new environment to the first report'),
+    ):
         whole = Environment(work / 'all', dist)
-        with loops(remarks, 'from pip to the first report'):
-            whole.install('humanopts[all]', **fresh)
-            remarks.append(whole.size)
-            whole.run('humanopts', 'demo', 'taxi', '--out', report)
+        whole.install('humanopts[all]', **fresh)
+        remarks.append(whole.size)
+        whole.run('humanopts', 'demo', 'taxi', '--out', report)
     with check('its commands'):
         version = whole.run('humanopts', '--version').strip()
         if version != whole.versions()['humanopts']:

@@ -1,5 +1,5 @@
 """
-Recorded runs of options, the basis of plans in a world that can only be acted in.
+Recorded runs of options, the basis of plans in a world that cannot be simulated.
 
 A run contains the features of every state, so abstract states are formed only when a plan is made,
 with the options and columns of that time. ``RunCollector`` assembles runs from the messages of the

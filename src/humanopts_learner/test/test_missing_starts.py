@@ -1,4 +1,4 @@
-"""Where to drive next, and which steps count, in a world that can only be acted in."""
+"""Where to drive next, and which steps count, in a world that cannot be simulated."""
 
 from collections.abc import Sequence
 from dataclasses import replace

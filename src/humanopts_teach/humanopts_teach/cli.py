@@ -54,7 +54,7 @@ _EXTRAS = {
     'gymnasium': 'worlds',
 }
 OUTSIDE = {  # commands available only in the repository: module of the Typer app, and help
-    'bench': ('benchmarks.command', 'benchmarks, each next to a yardstick'),
+    'bench': ('benchmarks.command', 'benchmarks, each with a yardstick'),
     'reproduce': ('experiments.command', "recompute the paper's figures and tables"),
 }
 
@@ -194,7 +194,7 @@ def up(
     *,
     launch: LaunchOptions,
 ) -> int:
-    """Launch the nodes and stay until Ctrl-C."""
+    """Launch the nodes and run until Ctrl-C."""
     from humanopts_teach.launching.forks import prepare
 
     prepare(domain)

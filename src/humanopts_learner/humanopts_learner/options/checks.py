@@ -95,7 +95,7 @@ def next_check(
     :param demonstrations: all of this participant and option, with the judged runs.
     :param others: as in ``choose_start_state``.
     :param every_end: whether to ask about rare ends, too, if criteria depend on them.
-    :return: None: answers would change little, or the domain can only be acted in.
+    :return: None: answers would change little, or the domain cannot be simulated.
     :raises OptionError: the option was not learned in this domain.
     """
     if not can_simulate(domain):

@@ -10,9 +10,9 @@ actions have several outcomes, its success probabilities are computed. If the do
 simulated or replayed, fresh starts are drawn as the task draws them, and what counts is the lower
 limit of the share (Wilson 1927). The required share (``_required``) is higher if success is exact,
 because some starts succeed by accident, and lower if actions have several outcomes. A domain that
-can only be acted in gives *agreement* instead: the share of held-out demonstrations that the
-option would repeat. If actions have several outcomes and runs can only be sampled, both are
-required, because an end reached by chance does not reveal wrong steps. In a domain without chance,
+cannot be simulated gives *agreement* instead: the share of held-out demonstrations that the option
+would repeat. If actions have several outcomes and runs can only be sampled, both are required,
+because an end reached by chance does not reveal wrong steps. In a domain without chance,
 *imitation* is also required: from the start of a demonstration, the option must reach the end of
 that demonstration, not just any end.
 
@@ -479,7 +479,7 @@ def _agreement(
     look: _Look, domain: ActableDomain, held_out: HeldOut | None, exam: int
 ) -> Criterion:
     """
-    Return the agreement criterion, for domains without runs or with sampled runs and chance.
+    Return the agreement criterion, where runs are impossible, or sampled in a world with chance.
 
     An option would repeat a demonstration if it can start where the demonstration starts, takes
     most of the demonstrated actions, and ends in the last demonstrated state. Wrong actions are
@@ -586,7 +586,7 @@ def _cost_of_other_end(
     demos: Sequence[Demonstration], reached: Flags, over: Flags, left: NDArray[np.int64]
 ) -> Floats:
     """
-    Return the amounts to add to the returns of runs that end unlike their demonstration.
+    Return what to add to returns of runs that end differently from their demonstration.
 
     :param demos: (N,) demonstration of each run.
     :param left: (N,) number of remaining steps of each run.

@@ -1,5 +1,5 @@
 """
-Planning from recorded runs, in worlds that can only be acted in.
+Planning from recorded runs, in worlds that cannot be simulated.
 
 Recorded runs of options are samples of their models, by the same rules as the runs of sampled
 games (``planning.sampling``): every suffix of a run counts, over the abstract states of the action

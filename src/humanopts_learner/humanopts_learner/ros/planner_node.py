@@ -33,7 +33,7 @@ class PlannerNode(NodeBase):
         directory = self.setting(
             'directory',
             '',
-            'folder of the recorded option runs of a world that can only be acted in; empty: they '
+            'folder of the recorded option runs of a world that cannot be simulated; empty: they '
             'are kept in memory',
         )
         recorder = RunRecorder(self, GameSubscriber(self, self._on_domain), directory)

@@ -1,4 +1,4 @@
-"""Recording of option runs in a world that can only be acted in."""
+"""Recording of option runs in a world that cannot be simulated."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from humanopts_ros.node_base import NodeBase
 
 class RunRecorder:
     """
-    Follows a world that can only be acted in, and records each run of an option.
+    Follows a world that cannot be simulated, and records each run of an option.
 
     :ivar newest: newest state of the world; None: no state has arrived.
     """

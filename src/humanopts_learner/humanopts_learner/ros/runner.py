@@ -186,7 +186,7 @@ class Runner:
         Subscribe to the states of the game.
 
         :param seed: random seed of sampled mode and of random moves.
-        :param patience: as the attribute.
+        :param patience: initial value.
         :param unstick: whether runs that repeat themselves take random moves.
         """
         self._node, self._mode, self._seed, self.patience = node, mode, seed, patience
@@ -195,7 +195,7 @@ class Runner:
         self.library: OptionLibrary | None = None
         self.taught_sequence = 0
         self.state: Observed | None = None
-        self._requests: list[RunRequest] = []  # the first one runs; each preempted earlier ones
+        self._requests: list[RunRequest] = []  # the first runs; each preempted those before it
         self._active: _Active | None = None  # set with the first command
         self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
@@ -222,7 +222,7 @@ class Runner:
             )
 
     def serve(self, options: Iterable[LearnedOption]) -> list[str]:
-        """Use the options that fit the game, once it is known; return the faults of others."""
+        """Use the options that fit the game, once it is known; return the others' faults."""
         self._policy.arbiters.clear()
         faults = self.library.replace(options) if self.library is not None else []
         self._node.waiting.check()
@@ -249,7 +249,7 @@ class Runner:
         self._node.waiting.check()
 
     def refusal(self, goal: Goal) -> OptionResult | None:
-        """Return the result of a goal that cannot run now; None: it can, as far as known."""
+        """Return the result of a goal that cannot run now; None: nothing known prevents it."""
         try:
             execution = self._check_goal(goal)
             waits = self._requests or goal.options_sequence > self.taught_sequence
