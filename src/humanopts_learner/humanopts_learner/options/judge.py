@@ -280,8 +280,8 @@ def taught_before(
     """
     Return the options taught before an option, which lead to its starts.
 
-    They are learned only from demonstrations before the first one of the option, so that later
-    ones do not affect its criteria.
+    They are learned only from demonstrations before the option's first, so that later ones do not
+    affect its criteria.
 
     :param demonstrations: all demonstrations of the participant, in order.
     :return: the options; empty unless the domain is replayed.
@@ -479,7 +479,7 @@ def _agreement(
     look: _Look, domain: ActableDomain, held_out: HeldOut | None, exam: int
 ) -> Criterion:
     """
-    Return the agreement criterion, where runs are impossible, or sampled in a world with chance.
+    Return the agreement criterion, used if runs are impossible or, with chance, sampled.
 
     An option would repeat a demonstration if it can start where the demonstration starts, takes
     most of the demonstrated actions, and ends in the last demonstrated state. Wrong actions are

@@ -222,7 +222,7 @@ class Runner:
             )
 
     def serve(self, options: Iterable[LearnedOption]) -> list[str]:
-        """Use the options that fit the game, once it is known; return the others' faults."""
+        """Use the options that fit the game, once it is known; return the faults of the others."""
         self._policy.arbiters.clear()
         faults = self.library.replace(options) if self.library is not None else []
         self._node.waiting.check()
