@@ -90,12 +90,13 @@ def domain_id() -> Iterator[int]:
 @pytest.fixture
 def short_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let processes that are started from now on notice sooner which of them were killed."""
-    profile = Path(os.environ[PROFILES[0]]).read_text('utf-8')
+    profile = Path(os.environ[PROFILES[-1]]).read_text('utf-8')
     mark = '<leaseAnnouncement>'
     assert mark in profile
     lease = f'<leaseDuration><sec>{LEASE}</sec></leaseDuration>'
     (tmp_path / 'profile.xml').write_text(profile.replace(mark, lease + mark), 'utf-8')
-    monkeypatch.setenv(PROFILES[0], str(tmp_path / 'profile.xml'))
+    for name in os.environ.keys() & PROFILES:
+        monkeypatch.setenv(name, str(tmp_path / 'profile.xml'))
 
 
 @pytest.fixture(scope='session')
