@@ -31,9 +31,9 @@ class Section(StrEnum):
 
 @app.command(
     cls=SeveralValues,
-    help='how long things take, each in a group with a yardstick\n\nThe fastest of a group has '
-    'the ratio 1.0 in brackets. Times are wall-clock times; where other programs run, compare '
-    'the smallest ones.',
+    help='Measure how long things take, in groups that each have a yardstick.\n\n'
+    'The fastest of a group has the ratio 1.0 in brackets. Times are wall-clock times; '
+    'where other programs run, compare the smallest ones.',
 )
 def bench(
     json: Annotated[

@@ -48,7 +48,7 @@ BEYOND = [transfer, demonstrations, worlds, judging, battery, rover, power]
 EXPERIMENTS = {each.NAME: each for each in (*PAPER, *BEYOND)}
 
 
-@app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
+@app.command(cls=SeveralValues, help="Recompute the paper's figures and tables.")
 def reproduce(
     what: Annotated[
         Literal[
@@ -67,8 +67,8 @@ def reproduce(
         ],
         typer.Argument(
             metavar='WHAT',
-            help='a figure or table: fig2, fig3, fig4, table2; or all of them; or, past the '
-            'paper, transfer: options of one maze in others; or demonstrations: how many an '
+            help='a figure or table: fig2, fig3, fig4, table2; or all of them; or, beyond '
+            'the paper, transfer: options of one maze in others; or demonstrations: how many an '
             'option takes, by learning method; or worlds: options taught in MiniGrid, LunarLander '
             'and others; or judging: whether what a lesson calls learned is right; or battery: '
             'plans in a world that cannot be simulated; or rover: options taught to a robot; '
@@ -79,7 +79,7 @@ def reproduce(
         Path | None,
         typer.Option(
             metavar='DIR',
-            help='folder for the report; what was computed into it before is not computed again; '
+            help='folder for the report; results that are already there are not computed again; '
             'default: runs/reproduce-WHAT',
         ),
     ] = None,
@@ -88,7 +88,8 @@ def reproduce(
         typer.Option(
             parser=whole(1),
             metavar='N',
-            help=f'simulated, in each group; default: {Study.participants}, and '
+            help='number of simulated participants in each group; default: '
+            f'{Study.participants}, and '
             f'{worlds.LESSONS} for worlds and rover, {judging.LESSONS} for judging and '
             f'{battery.LESSONS} for battery, where each gives one lesson in each environment or '
             f'row, and {power.LESSONS} for power',
@@ -98,17 +99,20 @@ def reproduce(
         int, typer.Option(parser=whole(1), metavar='N', help='runs of whatever depends on chance')
     ] = 10,
     seed: Annotated[
-        int, typer.Option(parser=whole(0), metavar='N', help='of every random draw')
+        int, typer.Option(parser=whole(0), metavar='N', help='seed of every random draw')
     ] = 1,
     jobs: Annotated[
         int | None,
-        typer.Option(parser=whole(1), metavar='N', help='processes; default: one for each core'),
+        typer.Option(
+            parser=whole(1), metavar='N', help='number of processes; default: one for each core'
+        ),
     ] = None,
     dask: Annotated[
         str,
         typer.Option(
             metavar='ADDRESS',
-            help='of a Dask scheduler whose workers compute instead, such as tcp://127.0.0.1:8786',
+            help='address of a Dask scheduler whose workers compute instead, such as '
+            'tcp://127.0.0.1:8786',
         ),
     ] = '',
     bags: Annotated[
@@ -121,7 +125,7 @@ def reproduce(
         list[str],
         typer.Option(
             metavar='MAZE...',
-            help="files in Berkeley's notation, to transfer to in place of mazes that are drawn",
+            help="files in Berkeley's notation, to transfer to instead of randomly drawn mazes",
         ),
     ] = [],  # noqa: B006
 ) -> int:

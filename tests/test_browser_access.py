@@ -33,7 +33,7 @@ def test_a_lesson_by_keyboard_and_no_finding_of_axe(
         window = windows(DESKTOP)
         visit = Visit(window, 'lesson')
         window.driver.get(pages.address)
-        window.see('Who teaches?')
+        window.see('Who is teaching?')
         visit.look('sign-in')
         window.press('not a code', Keys.ENTER)
         window.see('is not a code')

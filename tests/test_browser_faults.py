@@ -89,7 +89,7 @@ def study(tmp_path: Path) -> Iterator[tuple[Served, StudyFolder]]:
         yield pages, StudyFolder(data)
 
 
-def agree(window: Window, words: str = 'I agree and take part') -> None:
+def agree(window: Window, words: str = 'I agree to take part') -> None:
     """Take part."""
     window.see('Taking part')
     time.sleep(0.5)

@@ -76,7 +76,7 @@ def test_a_lesson_over_https_through_the_proxy_of_the_documentation(
         site = f'https://{NAME}:{proxy(address.port or 0)}'
         window = windows(DESKTOP, hosts=f'MAP {NAME} 127.0.0.1')
         window.driver.get(site + address.path)
-        window.see('Who teaches?')
+        window.see('Who is teaching?')
         window.press('anna', Keys.ENTER)
         window.see('What next?')
         window.click('Drive freely')

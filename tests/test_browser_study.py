@@ -107,13 +107,13 @@ def test_a_participant_on_a_phone_from_the_invitation_to_the_completion(
     time.sleep(READING)
     window.click('continue')
     window.see('Your data')
-    window.click('I agree and take part')  # not read yet
+    window.click('I agree to take part')  # not read yet
     window.see('Please read this first')
     assert folder.records() == ([], [])
     visit.look('consent-early')
     assert '<b>No names.' in window.text()
     time.sleep(READING + 0.3)
-    window.click('I agree and take part')
+    window.click('I agree to take part')
     window.see('There are four parts.')
     visit.look('welcome')
     time.sleep(READING + 0.3)
@@ -216,7 +216,7 @@ def test_codes_are_assigned_by_one_server(
         window.click('continue')
         window.see('Your data')
         time.sleep(READING + 0.3)
-        window.click('I agree and take part')
+        window.click('I agree to take part')
     for window in machines:
         window.see('There are four parts.')
     records = [record_of(folder, code) for code in codes]

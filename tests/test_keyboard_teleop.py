@@ -90,7 +90,7 @@ class Terminals:
     def sit_down(self, terminal: Terminal | None = None) -> Terminal:
         """Come as p1 to a terminal, which is started where there is none."""
         terminal = terminal or self.terminal()
-        terminal.see('Who teaches? > p1')
+        terminal.see('Who is teaching? > p1')
         terminal.press(ENTER)
         terminal.see('What next?')
         return terminal
@@ -335,7 +335,7 @@ def test_the_picture_of_an_environment_follows_each_key(terminals: Terminals) ->
     graph.spawn(GAME, domain='gymnasium:MiniGrid-DoorKey-8x8-v0')
     graph.spawn(LESSON, directory=graph.folder / 'demonstrations')
     terminal = terminals.terminal()
-    for words, key in (('Who teaches?', ENTER), ('4 Drive freely', '4')):
+    for words, key in (('Who is teaching?', ENTER), ('4 Drive freely', '4')):
         terminal.see(words)
         terminal.press(key)
     terminal.see('Nothing here is a demonstration')

@@ -386,7 +386,7 @@ def test_a_recording_that_stops_pauses_the_lesson_until_the_next_one_has_all_tha
     shown.append(ended.uuid)
     assert 'recording stopped: cannot write in' in cause
     assert 'Everything taught so far is on disk' in cause
-    assert 'not in this recording; the next recording will have it' in ended.detail
+    assert 'not in this recording; the next recording will contain it' in ended.detail
     for kind in SERVICES.keys() - {EndDemonstration, ListDemonstrations}:
         refused = person.ask(kind)
         assert refused.status == kind.Response.STATUS_PAUSED

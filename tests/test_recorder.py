@@ -338,7 +338,7 @@ def test_a_full_disk_is_said_and_holds_nobody_back(recording: Recording) -> None
 @pytest.mark.parametrize(
     ('parameters', 'reason'),
     [
-        ({}, 'exists already'),
+        ({}, 'already exists'),
         ({'path': '/proc/no/such'}, 'cannot create /proc/no/such'),
         ({'path': ''}, 'name the directory'),
         ({'path': '/proc/never', 'metadata': '[1]'}, 'not a JSON object'),

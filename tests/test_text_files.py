@@ -59,7 +59,7 @@ DEEP, MANY = 'nested more than 40 levels', f'more than {MAX_NODES:,} values'
         ('1,' * 4_000_000, '8,000,000 characters'),
         ('{[1]: a}', 'a key has to be a plain text'),
         ('a: &a {b: 1}\nc: {<<: *a}', 'merge keys'),
-        ('a: 1\na: 2', "the key 'a' is there twice (line 2, column 1)"),
+        ('a: 1\na: 2', "the key 'a' occurs twice (line 2, column 1)"),
         ('{!!int a: 1}', 'remove tags'),
         ('a\n---\nb', 'expected a single document'),
         ('1' * 400, 'an integer that is too large'),

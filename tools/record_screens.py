@@ -141,7 +141,7 @@ def main(images: Path) -> None:
         recorder = Recorder(Path(folder) / 'taxi', domain_id)
         terminal = recorder.terminal
         try:
-            terminal.see('Who teaches? > p1', 60.0)
+            terminal.see('Who is teaching? > p1', 60.0)
             terminal.press(ENTER)
             for name in (FIRST, SECOND):
                 recorder.teach(name)

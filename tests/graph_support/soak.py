@@ -183,7 +183,7 @@ class Soak:
         words = ('-m', MODULES['keyboard_teleop'], '--ros-args', '-p', 'participant:=guest')
         terminal = Terminal(words, int(os.environ['ROS_DOMAIN_ID']), lambda: self.serve(0.0))
         try:
-            terminal.see('Who teaches? > guest')
+            terminal.see('Who is teaching? > guest')
             pressed = 0.0
 
             def let_in() -> bool:
@@ -192,7 +192,9 @@ class Soak:
                 if time.monotonic() > pressed + 0.1:
                     terminal.press(ENTER)
                     pressed = time.monotonic()
-                return not any(text in terminal.text() for text in ('Who teaches?', 'Discard it?'))
+                return not any(
+                    text in terminal.text() for text in ('Who is teaching?', 'Discard it?')
+                )
 
             terminal.until(let_in, 'to be let in', RECOVERY)
             yield terminal

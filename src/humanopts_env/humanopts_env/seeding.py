@@ -15,7 +15,7 @@ def generator(seed: int, *purpose: str | int) -> np.random.Generator:
     :raises ValueError: seed is negative.
     """
     if seed < 0:
-        raise ValueError(f'the seed is {seed}, and must be 0 or greater')
+        raise ValueError(f'the seed is {seed}, but must be 0 or greater')
     text = '\x1f'.join(str(part) for part in purpose)
     digest = hashlib.sha256(text.encode()).digest()
     return np.random.default_rng([seed, *np.frombuffer(digest, dtype=np.uint32).tolist()])

@@ -154,8 +154,8 @@ def tables_agree_with_states_and_steps(seen: Evidence) -> None:
         ('start_states', starts, np.int32, (len(starts),)),
     )
     for name, array, dtype, axes in arrays:
-        assert array.shape == axes, f'{name} has the shape {array.shape}, and must have {axes}'
-        assert array.dtype == dtype, f'{name} has the type {array.dtype}, and must have {dtype}'
+        assert array.shape == axes, f'{name} has the shape {array.shape}, but must have {axes}'
+        assert array.dtype == dtype, f'{name} has the type {array.dtype}, but must have {dtype}'
         assert not array.flags.writeable, f'{name} can be written to'
     for index in range(0, count, max(1, count // MAX_STATES)):
         state, action = domain.state_at(index), index % len(domain.actions)

@@ -157,7 +157,7 @@ def test_a_name_with_the_prefix_is_resolved() -> None:
             'FrozenLake-v1 does not take the parameter map; it takes',
         ),
         ('gymnasium:test/Chain-v0', {'wrong': 'fickle'}, 'another game each time'),
-        ('gymnasium:FrozenLake-v1', {'is_slippery': 'False'}, 'is "False", and has to be true'),
+        ('gymnasium:FrozenLake-v1', {'is_slippery': 'False'}, 'is "False", but must be true'),
         ('gymnasium:FrozenLake-v1', {'desc': ['SF', 7]}, r'of the type list\[str\] \| None'),
         ('gymnasium:FrozenLake-v1', {'max_episode_steps': 'a'}, r'of the type int \| None'),
         ('gymnasium:FrozenLake-v1', {'render_mode': 'ansi'}, 'leave render_mode out'),

@@ -329,7 +329,7 @@ def test_a_declaration_that_cannot_be_used_is_refused(
         ),
         (WALK, {'features': '/no/such.py:f'}, 'cannot be loaded: FileNotFoundError'),
         (WALK, {'ranges': {'observation': 3}}, 'the range of observation is 3'),
-        (WALK, {'ranges': 3}, 'ranges is 3, and must be by the name'),
+        (WALK, {'ranges': 3}, 'ranges is 3, but must be given by feature name'),
         (DOORKEY.format(8), {'features': 'observation'}, r'7 x 7 x 3 numbers \(image\)'),
         ('gymnasium:no_such_package:Env-v0', {}, 'pip install no_such_package'),
     ],

@@ -194,7 +194,7 @@ UNREADABLE = {
     ),
     'another value': (
         {'mode': SimpleNamespace(data='lost')},
-        "the feature mode cannot be read: it is 'lost', and can be idle, driving",
+        "the feature mode cannot be read: it is 'lost', but can only be idle, driving",
     ),
     'no such value': (
         {'gripper': SimpleNamespace(data=2)},

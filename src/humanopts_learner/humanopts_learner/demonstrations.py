@@ -56,7 +56,7 @@ GOAL: Final = 'goal'
 METHODS = {  # learning methods; descriptions of the policy
     TREES: 'learned from the actions that were shown',
     FOREST: 'learned from the actions that were shown, by many trees that vote',
-    GOAL: 'planned: best ways to an end like the shown ones',
+    GOAL: 'planned as the best path to an end like those shown',
 }
 PRIMITIVE_PREFIX = 'action:'  # name prefix of primitive actions used as options
 MACHINE = (
@@ -296,7 +296,7 @@ def option_name_fault(name: str) -> str:
     if not name.strip():
         return 'the name is empty'
     if name.startswith(PRIMITIVE_PREFIX):
-        return f'names that begin with {PRIMITIVE_PREFIX} are those of primitive actions'
+        return f'names that begin with {PRIMITIVE_PREFIX} are reserved for primitive actions'
     return _text_fault('the name', name)
 
 
@@ -317,7 +317,7 @@ def check_method(method: str, domain: ActableDomain) -> None:
         raise DemonstrationError(f'unknown learning method {method!r}; choose from {known}')
     if method == GOAL and not is_enumerable(domain):
         raise DemonstrationError(
-            f'the states of {domain.name} cannot be listed, so no way to a goal can be planned; '
+            f'the states of {domain.name} cannot be listed, so no path to a goal can be planned; '
             f'its options are learned by {TREES}'
         )
 

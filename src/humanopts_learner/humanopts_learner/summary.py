@@ -13,13 +13,13 @@ RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 CRITERIA = {  # with the measured quantity
     SUCCESS: 'share of starts from which it reaches an end like a demonstrated one',
     AGREEMENT: 'share of held-out demonstrations that it would repeat',
-    IMITATION: 'share of demonstrations with another end than the run from their start',
-    RETURN: 'held-out shortfall of the return, as a share of its range',
+    IMITATION: 'share of demonstrations that end differently from the run from their start',
+    RETURN: 'held-out shortfall in the return, as a share of its range',
     INITIATION: 'held-out balanced error of I',
     TERMINATION: 'share of held-out demonstrations in which it ends early, late or never',
 }
 EVERY_START, SAMPLED_STARTS, RECORDED = 'every start', 'sampled starts', 'recorded'  # evidence
-NO_RANGE = 'random actions from the same starts return as much as the demonstrations'
+NO_RANGE = 'random actions from the same starts achieve as high a return as the demonstrations'
 NOT_MET = 'not learned: the criteria are not met'
 NOT_JUDGED = 'not learned: some of its ends have not been judged'
 NO_REFUSAL = 'the option can start in every state that was shown'
@@ -169,7 +169,7 @@ class OptionSummary:
             runs = f'{self.exam_runs} of {self.exam_needed} runs'
             return f'not learned: the exam is incomplete ({runs})'
         if not self.exam_needed:
-            return 'learned by its criteria, without an exam'
+            return 'learned according to its criteria, without an exam'
         least = f'{100 * self.exam.low:.0f} %'
         return f'learned: {runs}, so at least {least} are, with 95 % confidence'
 

@@ -255,7 +255,7 @@ def test_a_plan_that_is_shorter_than_the_demonstrations_is_asked_about(person: A
     assert len(shorter) == 1  # all are longer by as much
     took, takes = len(shorter[0].compared) - 1, len(shorter[0].actions)
     assert took - takes == 4
-    words = f'You took {took} steps here, it takes {takes}. Is the shorter way right?'
+    words = f'You took {took} steps here; it takes {takes}. Is the shorter way right?'
     assert shorter[0].text == words
     assert shorter[0].compared[0] == shorter[0].states[0]
     direct = by_goal(person().show_random(3))

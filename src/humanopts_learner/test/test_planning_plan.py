@@ -267,7 +267,7 @@ def test_defaults_fit_the_models() -> None:
     own = PlanRequest('primitive', 0.5, 0.1, 7, 500, 9)
     assert own.resolved(YARD, []) == own
     assert own.resolved(ROOMS, []) == replace(own, game_steps=0)
-    with pytest.raises(PlanError, match='game_steps is 399, and must be at least 400'):
+    with pytest.raises(PlanError, match='game_steps is 399, but must be at least 400'):
         PlanRequest('primitive', game_steps=399).resolved(YARD, [])
 
 

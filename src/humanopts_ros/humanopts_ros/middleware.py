@@ -77,7 +77,7 @@ def check_settings(*, thorough: bool = False) -> None:
     number = os.environ.get(_DOMAIN_ID) or '0'
     if not (number.isascii() and number.isdigit() and int(number) <= LAST_DOMAIN_ID):
         raise MiddlewareError(
-            f'{_DOMAIN_ID} is {number!r}, and must be from 0 to {LAST_DOMAIN_ID}'
+            f'{_DOMAIN_ID} is {number!r}, but must be from 0 to {LAST_DOMAIN_ID}'
         )
     if os.environ.pop(_LOCALHOST_ONLY, '') == '1':  # used before ROS Iron; takes precedence
         os.environ[RANGE] = 'LOCALHOST'

@@ -174,7 +174,7 @@ def _value(node: yaml.Node, depth: int, number: Iterator[int]) -> Any:
         if key.value == '<<' and not key.style:
             raise _refused(key, 'merge keys (<<) cannot be used: write the entries out')
         if key.value in values:
-            raise _refused(key, f'the key {shown(key.value)!r} is there twice')
+            raise _refused(key, f'the key {shown(key.value)!r} occurs twice')
         values[key.value] = _value(value, depth + 1, number)
     return values
 

@@ -54,8 +54,8 @@ _EXTRAS = {
     'gymnasium': 'worlds',
 }
 OUTSIDE = {  # commands available only in the repository: module of the Typer app, and help
-    'bench': ('benchmarks.command', 'benchmarks, each with a yardstick'),
-    'reproduce': ('experiments.command', "recompute the paper's figures and tables"),
+    'bench': ('benchmarks.command', 'Run the benchmarks, each with a yardstick.'),
+    'reproduce': ('experiments.command', "Recompute the paper's figures and tables."),
 }
 
 
@@ -135,7 +135,8 @@ def demo(
         int | None,
         option(
             'N',
-            'number of games that evaluate each policy, with sampled plans; 0: no comparison; '
+            'number of games in which each policy is evaluated, with sampled plans; 0: '
+            'no comparison; '
             'default: 1000, or 100 in worlds that are restored by replay',
             whole(0),
             callback=several_games,
@@ -145,7 +146,8 @@ def demo(
         int | None,
         option(
             'N',
-            'game steps that each sampled plan is made from; default: 800000, or 10000 in worlds '
+            'number of game steps from which each sampled plan is made; default: '
+            '800000, or 10000 in worlds '
             'that are restored by replay',
             whole(1),
         ),
@@ -238,7 +240,7 @@ def teach(
     from humanopts_teach.terminal.device import why_not
 
     if participant and not CODE.fullmatch(participant):
-        raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
+        raise CommandError(f'--participant {participant!r} is not a valid code: {CODE_RULE}')
     if pages.browser and only:
         raise CommandError('--only is not for --browser, where each page has nodes of its own')
     if not pages.browser:

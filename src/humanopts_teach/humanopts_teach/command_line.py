@@ -142,7 +142,7 @@ class PageOptions:
         int | None,
         option(
             'N',
-            'with --browser: largest number of games at once; more people wait in line; '
+            'with --browser: maximum number of games at once; more people wait in line; '
             'default: as many as fit in memory',
             whole(1),
         ),
@@ -193,7 +193,7 @@ class LaunchOptions(DomainOptions):
     out: Annotated[
         Path | None,
         option(
-            'DIR', 'folder for bags, options and logs; default: runs/DOMAIN, for demo a new one'
+            'DIR', 'folder for bags, options and logs; default: runs/DOMAIN, or a new one for demo'
         ),
     ] = None
     seed: Annotated[int, option('N', 'seed of every random draw', whole(0))] = 1
@@ -205,21 +205,22 @@ class LaunchOptions(DomainOptions):
         typer.Option(
             '--learn',
             '--model',
-            help='learning method: trees learns policies from the actions shown; forest does by '
-            'many trees, for precise ends; goal plans to an end like those shown, where all '
-            'states can be listed',
+            help='learning method: trees learns policies from the actions shown; forest '
+            'does so with many trees, for precise ends; goal plans a path to an end '
+            'like those shown, if all states can be listed',
         ),
     ] = METHOD
     derive: Annotated[
         list[str],
         option(
             'FORMULA',
-            'ask about a derived feature too, such as "taxi_row - passenger_row"; may be repeated',
+            'also ask about a derived feature, such as "taxi_row - passenger_row"; may '
+            'be repeated',
         ),
     ] = field(default_factory=list)
     budget: Annotated[
         int,
-        option('N', 'largest number of start states shown per option', whole(1)),
+        option('N', 'maximum number of start states shown per option', whole(1)),
     ] = BUDGET
     unstick: Annotated[
         bool,
@@ -233,7 +234,7 @@ class LaunchOptions(DomainOptions):
         float | None,
         option(
             'SHARE',
-            'smallest share of starts from which an option must reach an end like a demonstrated '
+            'minimum share of starts from which an option must reach an end like a demonstrated '
             'one; default: 0.95. Stricter where every start is known, laxer where actions '
             'have several outcomes',
             share,
@@ -243,7 +244,7 @@ class LaunchOptions(DomainOptions):
         float | None,
         option(
             'SHARE',
-            'largest shortfall of the return of an option, as a share of the range from random '
+            'maximum shortfall in the return of an option, as a share of the range from random '
             'actions to the demonstrations; default: 0.1',
             share,
         ),
@@ -252,7 +253,7 @@ class LaunchOptions(DomainOptions):
         float | None,
         option(
             'SHARE',
-            'largest held-out error of the initiation set of an option; default: 0.05',
+            'maximum held-out error of the initiation set of an option; default: 0.05',
             share,
         ),
     ] = None
@@ -260,7 +261,7 @@ class LaunchOptions(DomainOptions):
         float | None,
         option(
             'SHARE',
-            'largest share of held-out demonstrations in which an option ends early, late or '
+            'maximum share of held-out demonstrations in which an option ends early, late or '
             'never; default: 0.1',
             share,
         ),
@@ -269,7 +270,8 @@ class LaunchOptions(DomainOptions):
         int | None,
         option(
             'N',
-            'runs that a person judges when the criteria of an option hold; default: 5; 0: none',
+            'number of runs that a person judges once an option meets its criteria; '
+            'default: 5; 0: none',
             whole(0),
         ),
     ] = None
@@ -279,7 +281,7 @@ class LaunchOptions(DomainOptions):
         typer.Option(
             '--record',
             metavar='PATTERN',
-            help='record matching topics too, such as /odom or /camera/*; may be repeated',
+            help='also record matching topics, such as /odom or /camera/*; may be repeated',
         ),
     ] = field(default_factory=list)
     record_exclude: Annotated[
@@ -290,7 +292,7 @@ class LaunchOptions(DomainOptions):
         int | None,
         option(
             'SIZE',
-            'start another file of the bag at this size, such as 500M; default: never',
+            'start a new bag file at this size, such as 500M; default: never',
             size,
         ),
     ] = None
@@ -298,7 +300,7 @@ class LaunchOptions(DomainOptions):
         float | None,
         option(
             'SECONDS',
-            'start another file of the bag after this time; default: never',
+            'start a new bag file after this time; default: never',
             number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6),
         ),
     ] = None
@@ -306,8 +308,8 @@ class LaunchOptions(DomainOptions):
         float | None,
         option(
             'SECONDS',
-            'time between steps of the machine; default: 0.15 for teach, 0.02 for demo in a '
-            'terminal, else 0',
+            'time between steps of the machine; default: 0.15 for teach, 0.02 for demo '
+            'in a terminal, otherwise 0',
             seconds,
         ),
     ] = None
@@ -319,8 +321,8 @@ class LaunchOptions(DomainOptions):
         str,
         option(
             'FILE',
-            'a person drives with a gamepad, too: the file that maps its buttons and axes, or '
-            'the word default, for an Xbox pad',
+            'let a person also drive with a gamepad: the file that maps its buttons '
+            'and axes, or the word default for an Xbox pad',
             lambda text: text if text in ('', 'default') else os.path.abspath(text),
             show_default=False,
         ),
@@ -342,15 +344,18 @@ class SegmentOptions:
         list[str],
         option(
             'NUMBER=OPTION',
-            'option demonstrated by segments of kind NUMBER; may be repeated. Neighbours of the '
-            'same name are one demonstration; segments without a name are left out',
+            'option demonstrated by segments of kind NUMBER; may be repeated. '
+            'Consecutive segments with the same name become one demonstration; '
+            'segments without a name are left out',
         ),
     ] = field(default_factory=list)
     out: Annotated[
         Path | None,
         option('DIR', 'folder of a lesson, to which the demonstrations are added'),
     ] = None
-    participant: Annotated[str, option('CODE', 'code of the person whose options they are')] = 'p1'
+    participant: Annotated[
+        str, option('CODE', 'code of the person that the options belong to')
+    ] = 'p1'
 
 
 def with_options(command: Callable[..., int]) -> Callable[..., int]:

@@ -219,7 +219,7 @@ def test_a_repair_writes_only_where_nothing_is(
 ) -> None:
     (tmp_path / 'out').mkdir()
     assert main(['bag', 'check', str(bag), '--repair', str(tmp_path / 'out')]) == 2
-    assert 'exists already' in capsys.readouterr().err
+    assert 'already exists' in capsys.readouterr().err
     assert list((tmp_path / 'out').iterdir()) == []
     with pytest.raises(BagError, match='is inside'):
         repair(open_bag(bag), bag / 'out')

@@ -165,7 +165,7 @@ def test_a_code_leads_to_its_seat_and_one_that_differs_only_in_case_is_asked_abo
     address: str,
 ) -> None:
     with PageClient(address, f'/{TOKEN}') as browser, PageClient(address, f'/{TOKEN}/GIL') as page:
-        assert 'Who teaches?' in browser.shows('panel')
+        assert 'Who is teaching?' in browser.shows('panel')
         browser.press('ctrl-u', *NASTY, 'enter')
         browser.until('said', '&lt;img')
         assert browser.opened == []
@@ -331,4 +331,7 @@ def test_a_page_has_its_farewell_before_the_server_is_gone(
     with PageClient(address, f'/{TOKEN}/gus') as page:
         page.until('panel', 'Which?')
         stop.set()
-        page.until('panel', 'The game was stopped where it runs. Everything taught is saved.')
+        page.until(
+            'panel',
+            'The game was stopped on the machine that runs it. Everything taught is saved.',
+        )

@@ -315,7 +315,7 @@ def test_a_key_counts_only_for_the_screen_and_the_question_that_were_seen(tmp_pa
         desk.advance()
     assert desk.lesson.view.participant == 'p7'
     assert 'What next?' in desk.see()
-    assert '1 was ignored: it was pressed before this screen.' in desk.see()
+    assert '1 was ignored: it was pressed before this screen appeared.' in desk.see()
     desk.press('1').type('fetch').press('y', 'o')
     desk.app.next_start = AT_R
     desk.press('enter', 'left', 'p')

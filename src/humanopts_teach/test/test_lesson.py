@@ -291,7 +291,7 @@ def test_a_bad_formula_changes_nothing_and_the_rules_add_theirs(store: Demonstra
     assert answer.detail == ("taxi has no feature 'taxi_rwo'; did you mean taxi_row or taxi_col?")
     many = tuple(f'taxi_row - {number}' for number in range(1, MAX_DERIVED + 2))
     assert table.ask(DefineOption(OPTION, derived_features=many)).detail == (
-        f'{MAX_DERIVED} derived features are the most'
+        f'at most {MAX_DERIVED} derived features are allowed'
     )
     assert (table.lesson.view, store.entries('p1')) == (view, entries)
     table.starts.rules = replace(table.starts.rules, derive=(OFFSET,))

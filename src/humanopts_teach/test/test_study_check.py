@@ -64,8 +64,8 @@ def test_all_screens_are_shown_in_order_with_times_and_places(
     other.mkdir()
     german = '\n'.join(PlanCheck(plan, other, 'de').run())
     assert 'Do you agree?' in german
-    assert 'I agree and take part' in shown
-    assert 'I agree and take part' not in german
+    assert 'I agree to take part' in shown
+    assert 'I agree to take part' not in german
 
 
 def test_a_plan_of_the_paper_is_checked(capsys: pytest.CaptureFixture[str]) -> None:

@@ -184,7 +184,7 @@ def test_a_full_disk_at_consent_leaves_nothing_of_the_person(
         decline(study, 'ben')
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    text = 'The study cannot begin just now, and nothing was saved.'
+    text = 'The study cannot begin right now, and nothing was saved.'
     assert str(raised.value).startswith(text)
     began, declined = capsys.readouterr().err.splitlines()
     assert 'anna could not begin, and nothing was saved: ' in began
@@ -266,7 +266,7 @@ def test_one_person_takes_part_in_one_place_at_a_time(
         with pytest.raises(StudyError) as raised, study.enter('anna'):
             pass
         assert str(raised.value) == text
-        with pytest.raises(StudyError, match="'anna' takes part at the moment"):
+        with pytest.raises(StudyError, match="'anna' is taking part at the moment"):
             folder.withdraw('anna')
     assert folder.running() == set()
     program = (
@@ -314,7 +314,7 @@ def test_a_return_after_the_end_is_refused(
     study, before = Study(plan, folder, '/'), anna.path.read_bytes()
     with pytest.raises(EndedError) as raised:
         study.consent_app('anna')
-    assert str(raised.value) == "'anna' has ended this study already; give another code"
+    assert str(raised.value) == "'anna' has already ended this study; use another code"
     assert study.farewell(raised.value.record).url == plan.recruiting.completed
     assert anna.path.read_bytes() == before
 
@@ -370,7 +370,7 @@ def test_a_pilot_is_a_study_of_its_own(
     assert str(main_folder.path / 'pilot' / 'tables') in found['tester']
     for code in ('pilot', 'Tables'):
         assert refused(main_folder, plan, code) == (
-            f'{code!r} cannot be used as a code; give another one'
+            f'{code!r} cannot be used as a code; use another one'
         )
 
 
@@ -416,7 +416,7 @@ def test_too_many_failed_attention_checks_end_the_study(
         notes.note('part ended', part, why=FAILED)
         farewell = study.next_turn(record)
     assert farewell == (
-        'The study ends here: too many attention checks were not passed.',
+        'The study ends here: too many attention checks were failed.',
         'https://app.prolific.com/failed?who=p_1',
     )
     assert folder.enter(plan, 'next').place == 0

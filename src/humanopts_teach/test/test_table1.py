@@ -176,7 +176,7 @@ def test_any_merge_file_is_read_or_refused_in_one_line_at_once(tmp_path: Path, t
         ('a: b', "'a' needs a list"),
         ('a: [no]', "a wording of 'a' is false, not a text: put it in quotes"),
         ('"": [b]', "'' is not a name"),
-        ('a: [b]\na: [c]', "the key 'a' is there twice"),
+        ('a: [b]\na: [c]', "the key 'a' occurs twice"),
         ('a: !!python/name:os.system []', 'remove tags'),
         ('a: [b]\nc: [B]', "'B' belongs to 'a' and to 'c'"),
         ('a: [', 'not YAML'),

@@ -121,9 +121,9 @@ def test_advice_fits_in_80_by_24_even_if_the_criteria_do_not(pacman: Desk) -> No
     ]
     words = ' '.join(line[41:].strip() for line in pacman.sees().split('\n'))
     assert 'choose one that changes there (e questions).' in words
-    assert 'say so before done (s can start again at its end).' in words
+    assert 'say so before you say done (s can start again at its end).' in words
     assert 'higher window' in pacman.sees()
-    assert 'say so before done' not in pacman.press('s').see()  # the advice was followed
+    assert 'say so before you say done' not in pacman.press('s').see()  # the advice was followed
 
 
 def test_advice_for_earlier_answers_is_not_shown(pacman: Desk) -> None:

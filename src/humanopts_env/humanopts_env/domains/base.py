@@ -111,7 +111,7 @@ def check_whole(name: str, value: object, least: int, most: int) -> None:
     """
     if type(value) is not int or not least <= value <= most:
         raise DomainError(
-            f'{name} is {value!r}, and must be a whole number from {least} to {most}'
+            f'{name} is {value!r}, but must be a whole number from {least} to {most}'
         )
 
 
@@ -122,7 +122,7 @@ def check_choice(name: str, value: object, known: Iterable[str]) -> None:
     :raises DomainError: the value is not one of the known texts.
     """
     if value not in (choices := tuple(known)):
-        raise DomainError(f'{name} is {value!r}, and must be {" or ".join(choices)}')
+        raise DomainError(f'{name} is {value!r}, but must be {" or ".join(choices)}')
 
 
 def subset_names(names: Sequence[str], joint: str = ', ', none: str = 'none') -> list[str]:

@@ -400,7 +400,7 @@ def _check_names(name: str, what: str, given: Any, known: Iterable[str]) -> None
     :raises DomainError: it is not a mapping, or has a name that is not a feature.
     """
     if not isinstance(given, Mapping):
-        raise DomainError(f'{name}: {what} is {given!r}, and must be by the name of the feature')
+        raise DomainError(f'{name}: {what} is {given!r}, but must be given by feature name')
     names = [*known]
     if unknown := [each for each in given if each not in names]:
         raise DomainError(

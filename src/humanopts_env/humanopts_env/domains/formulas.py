@@ -339,7 +339,7 @@ class _Reader:
                     f'{ast.unparse(left)} and {ast.unparse(right)} have no order: use == or !='
                 )
         elif any(part.truth for part in parts):
-            raise FormulaError(f'join {ast.unparse(left)!r} by and, or, not instead of {sign}')
+            raise FormulaError(f'join {ast.unparse(left)!r} with and, or, not instead of {sign}')
         a, b = parts
         if sign in ('==', '!='):
             possible = a.low <= b.high and b.low <= a.high
@@ -360,8 +360,8 @@ class _Reader:
         if known is None or not all(part.words or part.text is not None for part in parts):
             left, right = map(ast.unparse, nodes)
             raise FormulaError(
-                f'{left} and {right} cannot be compared: one of them must be a feature that has '
-                'texts as values, and the other such a feature or one of its texts'
+                f'{left} and {right} cannot be compared: one must be a feature whose '
+                'values are texts, and the other such a feature or one of its texts'
             )
         for part, other in zip(parts, reversed(nodes)):
             if part.text is not None and part.text not in known.words:

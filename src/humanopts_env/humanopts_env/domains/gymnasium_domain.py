@@ -357,7 +357,7 @@ def _read_table(name: str, env: Any) -> Table:
 def _check_entries(where: str, entries: list[Entry], states: int) -> None:
     shares = [share for share, _, _, _ in entries]
     if not abs(sum(shares) - 1) <= ROUNDING or min(shares) < 0:
-        raise DomainError(f'{where} has probabilities {shares}, and they must sum to 1')
+        raise DomainError(f'{where} has probabilities {shares}, but they must sum to 1')
     for _, to, gain, _ in entries:
         if not 0 <= to < states or not np.isfinite(gain):
             raise DomainError(f'{where} leads to state {to} of {states} with reward {gain}')

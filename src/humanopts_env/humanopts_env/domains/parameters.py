@@ -107,7 +107,7 @@ def _check_type(name: str, key: str, value: Any, types: Sequence[Any]) -> None:
             wanted = _WORDS.get(kind, f'of the type {inspect.formatannotation(kind)}')
             text = shown(json.dumps(value, ensure_ascii=False), 60)
             hint = f'; as a text it is written {key}=\'"{text}"\'' if kind is str else ''
-            said = f'{key} of {name} is {text}, and has to be {wanted}{hint}'
+            said = f'{key} of {name} is {text}, but must be {wanted}{hint}'
             raise DomainError(said) from None
         return
 

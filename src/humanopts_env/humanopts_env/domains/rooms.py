@@ -41,7 +41,7 @@ ROOMS = {'a': 'north-west', 'b': 'north-east', 'c': 'south-west', 'd': 'south-ea
 DOORWAYS = {'N': 'north', 'W': 'west', 'E': 'east', 'S': 'south'}
 GOALS = {'G1': (6, 8), 'G2': (8, 8)}  # the east doorway; a cell of the south-east room
 EXPLANATION = (
-    ('', 'Walk to the goal. One step in three goes another way than you want.'),
+    ('', 'Walk to the goal. One step in three goes a different way than you want.'),
     (PERSON, 'you'),
     (FLAG, 'the goal'),
     (BLOCK, 'walls'),

@@ -95,10 +95,10 @@ TAXIS = {  # by the text of passenger_in_taxi
     None: (SOME_TAXI, 'taxi', ORANGE),
 }
 EXPLANATION = (
-    ('', 'Fetch the passenger and drive to the destination. Each step costs 1; the end earns 1.'),
+    ('', 'Fetch the passenger and drive to the destination. Each step costs 1; delivery earns 1.'),
     (f'{EMPTY_TAXI} {FULL_TAXI}', 'the taxi: empty, and with the passenger'),
-    (SOME_TAXI, 'the taxi, where it is not shown which'),
-    (PERSON, 'the passenger, who waits'),
+    (SOME_TAXI, 'the taxi, when it is not shown whether it is empty'),
+    (PERSON, 'the waiting passenger'),
     (FLAG, 'the destination'),
     ('R G Y B', 'landmarks: the passenger waits and gets off only there'),
     ('┃ ━', 'walls'),

@@ -213,7 +213,7 @@ def checked_value(feature: Feature, spec: FeatureSpec, value: Any) -> float:
     """
     if isinstance(value, str) and not spec.is_number:
         if value not in feature.values:
-            raise SensorError(f'it is {value!r}, and can be {", ".join(feature.values)}')
+            raise SensorError(f'it is {value!r}, but can only be {", ".join(feature.values)}')
         return float(feature.values.index(value))
     try:
         number = float(value)

@@ -55,9 +55,9 @@ class Extraction:
         for field in fields(self):
             value = getattr(self, field.name)
             if field.type is int and value < 1:
-                raise PlanError(f'{field.name} is {value}, and must be 1 or more')
+                raise PlanError(f'{field.name} is {value}, but must be 1 or more')
             if field.type is float and not 0.0 <= value <= 1.0:
-                raise PlanError(f'{field.name} is {value}, and must be from 0 to 1')
+                raise PlanError(f'{field.name} is {value}, but must be from 0 to 1')
 
 
 USUAL = Extraction()

@@ -261,7 +261,7 @@ class _Questions:
         start, most = [*took][saved.argmax()], int(saved.max())
         usual = saved.mean() > saved.std() or 2 * most > took[start]
         if usual and most > max(meant, default=0) and self._is_new(start):
-            text = f'You took {took[start]} steps here, it takes {took[start] - most}. '
+            text = f'You took {took[start]} steps here; it takes {took[start] - most}. '
             text += 'Is the shorter way right?'
             state = domain.decode(start)
             found = _check(CheckKind.SHORTER, self.option, domain, state, 0, text)

@@ -32,7 +32,7 @@ MIN_SHOWN = 2  # minimum number of demonstrations for advice about ends
 MIN_UNUSED = 10  # minimum number of demonstrations to call a chosen feature needless
 WORSE = 0.25  # maximum share of demonstrations in which the option does worse without it
 UNTOLD = 'No chosen feature tells where the option ends: choose one that changes there.'
-SAY_AGAIN = 'If the option can start where it ends, say so before done.'
+SAY_AGAIN = 'If the option can start where it ends, say so before you say done.'
 
 
 def find_conflicts(data: Dataset) -> tuple[str, ...]:
@@ -121,7 +121,7 @@ def find_needless(
     if Interval.of_share(worse[shown] > 0).high > WORSE:
         return ()
     return (
-        f'"{plain_name(least)}" seems needless: without it, as much is learned from your '
+        f'"{plain_name(least)}" seems unnecessary: without it, just as much is learned from your '
         f'{len(data.trajectories)} demonstrations.',
     )
 
@@ -171,7 +171,7 @@ def contradiction(
             demo = data.demonstrations[number]
             text = (
                 f'{_situation(row, chosen)}: now {words[label]}, '
-                f'in demonstration {demo.number} {words[other]}'
+                f'but {words[other]} in demonstration {demo.number}'
             )
             return Contradiction(text, demo, newest.features.index(tuple(row.tolist())))
     return None

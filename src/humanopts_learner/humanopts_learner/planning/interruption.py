@@ -65,7 +65,7 @@ class OptionValues:
                 raise PlanError('a value is NaN or infinite')
         if not 0.0 <= self.interruption_margin < np.inf:
             raise PlanError(
-                f'interruption_margin is {self.interruption_margin}, and must be 0 or greater'
+                f'interruption_margin is {self.interruption_margin}, but must be 0 or greater'
             )
 
 

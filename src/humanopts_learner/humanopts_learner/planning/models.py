@@ -157,7 +157,7 @@ def model_option(
     :raises PlanError: max_steps is below 1.
     """
     if option.max_steps < 1:
-        raise PlanError(f'max_steps is {option.max_steps}, and must be 1 or more')
+        raise PlanError(f'max_steps is {option.max_steps}, but must be 1 or more')
     kind = deterministic_model if rules.deterministic else stochastic_model
     return kind(rules, over, gamma, option, starts)
 

@@ -146,7 +146,7 @@ class PlanRequest:
                 f'unknown action set {self.action_set!r}; choose from {", ".join(ACTION_SETS)}'
             )
         if self.gamma and not 0.0 < self.gamma <= 1.0:
-            raise PlanError(f'gamma is {self.gamma}, and must be above 0 and at most 1')
+            raise PlanError(f'gamma is {self.gamma}, but must be above 0 and at most 1')
         check_limits(self.tol, self.max_sweeps or 1)
 
     def resolved(
@@ -187,7 +187,7 @@ class PlanRequest:
         if sampled:
             fewest = self.sampling.game_steps
             if asked.game_steps < fewest:
-                raise PlanError(f'game_steps is {asked.game_steps}, and must be at least {fewest}')
+                raise PlanError(f'game_steps is {asked.game_steps}, but must be at least {fewest}')
         return asked
 
 

@@ -375,7 +375,7 @@ class PolicyServer(GoalServer):
             learner.learn(recorder.runs[-1])
             result.learned_runs, result.n_states = learner.runs, len(learner.table.visits)
         else:
-            self._node.get_logger().warning(f'nothing is learned of run {run_id}: it was lost')
+            self._node.get_logger().warning(f'nothing is learned from run {run_id}: it was lost')
 
     async def _run_option(self, request: RunOption.Request) -> OptionResult:
         """

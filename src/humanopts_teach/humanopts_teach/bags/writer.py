@@ -203,7 +203,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
             self.path.mkdir(parents=True)
         except FileExistsError:
             raise BagWriteError(
-                f'{self.path} exists already; name a folder that does not, or remove it'
+                f'{self.path} already exists; name a folder that does not, or remove it'
             ) from None
         except OSError as error:
             raise BagWriteError(f'cannot create {self.path}: {error.strerror}') from error

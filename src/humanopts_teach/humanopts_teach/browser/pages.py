@@ -187,8 +187,8 @@ def add_pages(seats: Seats, entrance: Entrance) -> None:
         except AddressError as error:
             return _refusal(str(error), entrance.language)
         if similar := seats.similar(participant):
-            text = N_(f'{similar} is known here. Are you {similar}? If not, give another code.')
-            head, enter = ('humanopts', seats.domain), N_(f'go on as {similar}')
+            text = N_(f'{similar} is known here. Are you {similar}? If not, use another code.')
+            head, enter = ('humanopts', seats.domain), N_(f'continue as {similar}')
             asked = message(head, text, enter, window.language)
             prompt(window, asked, lambda: window.go_to(f'/{similar}'))
             return None
@@ -208,7 +208,7 @@ def add_pages(seats: Seats, entrance: Entrance) -> None:
 
 def _not_a_code(text: str) -> str:
     given = shown(text)
-    return N_(f'{given!r} is not a code: letters, digits, - and _, at most 60 of them')
+    return N_(f'{given!r} is not a valid code: use at most 60 letters, digits, - and _')
 
 
 def _refusal(text: str, language: str) -> HTMLResponse:
@@ -283,7 +283,7 @@ async def serve(
         viewport='width=device-width, initial-scale=1, viewport-fit=cover',
     )
     core.sio.on('log', lambda *_: None)  # pages must not write to the terminal
-    farewell = N_('The game was stopped where it runs. Everything taught is saved.')
+    farewell = N_('The game was stopped on the machine that runs it. Everything taught is saved.')
     server = Server(Guard(web, token, hosts), token, stop, partial(seats.close, farewell))
     with limited_log():
         await server.serve(sockets=[listening])

@@ -19,8 +19,8 @@ from humanopts_teach.lesson.store import similar_code
 FAREWELL = N_('Everything taught is saved.')
 _STARTING = N_('Starting the game of {code} ...')
 _IN_LINE = N_(
-    'All games are taken. You are number {place} in line. Keep this page open: your game starts '
-    'by itself.'
+    'All games are taken. You are number {place} in line. Keep this page open: your '
+    'game will start by itself.'
 )
 _GAME_BYTES = 350_000_000  # assumed memory of a game, unless a larger game is measured
 _SPARE_BYTES = 1_000_000_000  # memory reserved for other programs; at most a tenth of the total
@@ -247,7 +247,7 @@ class Seats:
                     seat.listen(press)
                     await seat.over.wait()
                     seat.listen(lambda keys, frame: None)
-                    seat.show(seat.message(N_('The game ends ...')), 0)
+                    seat.show(seat.message(N_('The game is ending ...')), 0)
         except GameError as error:
             seat.end(f'{error} {FAREWELL}')
         finally:
@@ -300,7 +300,7 @@ class Seats:
                 seat.enter(window)
 
         code = seat.participant
-        text = N_(f'{code} is in another window just now. Nothing is lost there.')
+        text = N_(f'{code} is active in another window right now. Nothing is lost there.')
         prompt(window, seat.message(text, N_('continue here')), take)
 
 

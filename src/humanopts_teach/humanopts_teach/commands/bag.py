@@ -42,7 +42,9 @@ app = typer.Typer(**PLAIN, cls=CommandGroup, subcommand_metavar='COMMAND ...')
 BagArgument = Annotated[Path, typer.Argument(metavar='BAG', help='a rosbag2 folder or .mcap file')]
 BagArguments = Annotated[
     list[Path],
-    typer.Argument(metavar='BAG', help='rosbag2 folders or .mcap files, each treated by itself'),
+    typer.Argument(
+        metavar='BAG', help='rosbag2 folders or .mcap files, each processed separately'
+    ),
 ]
 Namespace = Annotated[
     str,
@@ -114,7 +116,7 @@ def check(
     from humanopts_teach.bags.reader import open_bag
 
     if repair is not None and repair.exists():
-        raise CommandError(f'{repair} exists already; choose a new folder')
+        raise CommandError(f'{repair} already exists; choose a new folder')
     with progress_bar() as show:
         opened = open_bag(bag, partial(show, text='checking'))
         found = check_bag(opened)
@@ -288,7 +290,7 @@ def export(
         Literal['csv', 'parquet', 'minari', 'files', 'runs'],
         typer.Option(
             help='parquet needs pyarrow; minari needs minari[arrow]; files: those attached to the '
-            'bag, such as option files; runs: those of options, added to the file of the planner'
+            'bag, such as option files; runs: option runs, added to the file of the planner'
         ),
     ],
     out: Annotated[Path, option('DIR', 'folder for the files')],

@@ -108,7 +108,7 @@ def known_code(code: str, known: Iterable[str]) -> str:
     :raises CommandError: it is another participant, who needs another code.
     """
     similar = similar_code(code, known)
-    question = _('{similar} has taken part. Go on as {similar}?').format(similar=similar)
+    question = _('{similar} has taken part. Continue as {similar}?').format(similar=similar)
     if similar and not confirmed(question):
         raise CommandError(str(SimilarCodeError(code, similar)))
     return similar or code
@@ -239,7 +239,7 @@ def check_folder(setup: Setup, *, new: bool = False) -> None:
         if new and folder.is_dir() and any(folder.iterdir()):
             raise CommandError(f'{folder} is not empty; choose another --out')
         if setup.record and setup.bag.exists():
-            raise CommandError(f'{setup.bag} exists already; choose another folder')
+            raise CommandError(f'{setup.bag} already exists; choose another folder')
         made = [path for path in (folder, *folder.parents) if not path.exists()]
         folder.mkdir(parents=True, exist_ok=True)
         try:

@@ -40,7 +40,7 @@ class _StudyCommands(TyperGroup):
 app = typer.Typer(**PLAIN, cls=_StudyCommands, subcommand_metavar='[COMMAND] PLAN.yaml ...')
 _RUNS = Path('runs')
 PilotOption = Annotated[
-    bool, flag('--pilot', 'the pilot: a study of its own, in the folder pilot of the study')
+    bool, flag('--pilot', 'use the pilot: a separate study, in the folder pilot of the study')
 ]
 PlanArgument = Annotated[Path, typer.Argument(metavar='PLAN.yaml')]
 StudyOption = Annotated[
@@ -50,7 +50,7 @@ StudyOption = Annotated[
 
 MergeOption = Annotated[
     Path | None,
-    option('FILE.yaml', 'wordings of buttons with the same meaning, by name'),
+    option('FILE.yaml', 'file of button wordings with the same meaning, by name'),
 ]
 
 
@@ -158,7 +158,7 @@ def withdraw(
     code: Annotated[str, typer.Argument(metavar='CODE')],
     folder: StudyOption = None,
     pilot: PilotOption = False,
-    yes: Annotated[bool, flag('--yes', 'delete without a question')] = False,
+    yes: Annotated[bool, flag('--yes', 'delete without asking')] = False,
 ) -> int:
     """Delete everything about a participant, and log the deletion without the code."""
     from humanopts_teach.study.record import StudyError
@@ -166,11 +166,11 @@ def withdraw(
     _, study_folder, _ = _kept('withdraw', plan, folder, pilot)
     with refusing(StudyError):
         files = len(study_folder.files_of(code))
-        question = f'Delete {files} files of {code} in {study_folder.path} for ever?'
+        question = f'Delete {files} files of {code} in {study_folder.path} permanently?'
         if not (yes or confirmed(question)):
             raise CommandError('nothing was deleted; y or --yes confirms')
         study_folder.withdraw(code)
-    print(printable(f'{files} files of {code} are deleted. Tables and reports that were made'))
+    print(printable(f'{files} files of {code} have been deleted. Tables and reports made'))
     print('earlier still contain this participant: delete them, or export them again.')
     return 0
 
@@ -178,7 +178,9 @@ def withdraw(
 @app.command()
 def check(
     plan: PlanArgument,
-    language: Annotated[str, option('LANGUAGE', 'of the screens; default: that of the plan')] = '',
+    language: Annotated[
+        str, option('LANGUAGE', 'language of the screens; default: that of the plan')
+    ] = '',
 ) -> int:
     """Show all screens in order, with estimated times; a simulated participant answers."""
     from tempfile import TemporaryDirectory
@@ -201,7 +203,7 @@ def export(
     plan: PlanArgument,
     out: Annotated[
         Path | None,
-        option('DIR', 'for the tables; default: tables in the folder'),
+        option('DIR', 'folder for the tables; default: tables in the study folder'),
     ] = None,
     folder: StudyOption = None,
     pilot: PilotOption = False,
@@ -223,7 +225,7 @@ def report(
     plan: PlanArgument,
     out: Annotated[
         Path | None,
-        option('FILE.html', 'to write; default: report.html in the folder'),
+        option('FILE.html', 'file to write; default: report.html in the study folder'),
     ] = None,
     folder: StudyOption = None,
     pilot: PilotOption = False,

@@ -207,7 +207,7 @@ class PlanCheck:
 
     def _screen(self, app: App, part: Part) -> str:
         """Return a screen as text; add a note if it does not fit the terminal."""
-        if any('a higher window shows more' in line for line in frame(app, WIDTH, HEIGHT)):
+        if any('a taller window shows more' in line for line in frame(app, WIDTH, HEIGHT)):
             note = f'a screen of {part.key} needs more than {HEIGHT} rows of {WIDTH} columns'
             self.notes.extend({note}.difference(self.notes))
         lines = '\n'.join(frame(app, WIDTH, _TALL))

@@ -47,7 +47,7 @@ from humanopts_teach.terminal.show import show
 
 _MIN_SECONDS = 1.0  # minimum remaining time of a part that can be continued
 _CANNOT_BEGIN = N_(
-    'The study cannot begin just now, and nothing was saved. Please tell the person who invited '
+    'The study cannot begin right now, and nothing was saved. Please tell the person who invited '
     'you.'
 )
 _ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
@@ -227,7 +227,7 @@ class Study:
         """Return the text shown to a participant at the end of the visit."""
         record, recruiting = record.read(), self.plan.recruiting
         if record.excluded:
-            text = _('The study ends here: too many attention checks were not passed.')
+            text = _('The study ends here: too many attention checks were failed.')
             return Farewell(text, _address(recruiting.failed, record.code))
         if not record.over:
             text = _('You have not finished yet. Continue with the same code: {code}')

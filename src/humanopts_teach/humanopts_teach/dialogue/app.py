@@ -393,7 +393,7 @@ class App:
                 other = given and seen.screen is not self.screen
                 if other or (self.screen.answers_lesson and seen.asked_for != self._asked_for):
                     self.say(
-                        _('{key} was ignored: it was pressed before this screen.').format(
+                        _('{key} was ignored: it was pressed before this screen appeared.').format(
                             key=label(key)
                         )
                     )
@@ -517,7 +517,7 @@ class App:
         if answer is None:
             if not late:
                 return
-            silent = _('{node} does not answer.').format(node=server(type(request)))
+            silent = _('The {node} is not responding.').format(node=server(type(request)))
             answer = Answer(RequestStatus.REFUSED, silent)
         elif answer.carried_out and not late and not settled(request, answer, self.world):
             return

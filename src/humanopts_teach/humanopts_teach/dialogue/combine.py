@@ -58,7 +58,7 @@ class CombineScreen(Screen):
     def panel(self, app: App) -> Panel:
         name, news = self._formula(app)
         blocks: list[Block] = [
-            Line(_('A new feature from others'), strong=True),
+            Line(_('A new feature from existing ones'), strong=True),
             GAP,
             Line(f'> {self.typed}█', strong=True, more=(Line('…'.join(self.rest), Tone.QUIET),)),
             Line(news, Tone.NEWS if name else Tone.QUIET),

@@ -49,8 +49,8 @@ class ConsentApp(App):
         choices = [Command([ENTER], N_('continue'), lambda app: self._turn_to(index + 1))]
         if index == len(self._pages) - 1:
             choices = [
-                Command('y', N_('I agree and take part'), lambda app: self._decide(True)),
-                Command('n', N_('I do not take part'), lambda app: self._decide(False)),
+                Command('y', N_('I agree to take part'), lambda app: self._decide(True)),
+                Command('n', N_('I do not want to take part'), lambda app: self._decide(False)),
             ]
         part = self._pages[index]
         self.show(page(Page(part.text), choices, part.reading))

@@ -113,7 +113,7 @@ def control(app: App) -> list[Command]:
     def give_back(app: App) -> None:
         app.ask(SetControl(hold=False), then=partial(released, app))
 
-    text = _('let the machine move the robot, while you supervise it')
+    text = _('let the machine move the robot while you supervise it')
     return [Command('t', _('give control back'), give_back, text)]
 
 
@@ -133,7 +133,7 @@ def robot_lines(app: App) -> Iterator[Line]:
         locked = translated(world.locked)
         why = (Line(f'  {locked[:1].upper()}{locked[1:]}.', Tone.QUIET),)
         yield Line(
-            _('Nothing moves before you take control{key}.').format(key=key),
+            _('Nothing moves until you take control{key}.').format(key=key),
             Tone.WARNING,
             more=why,
         )
@@ -149,7 +149,7 @@ def robot_lines(app: App) -> Iterator[Line]:
     elif world.supervisor == world.me and not world.in_control:
         yield Line(_('The machine may move. If you leave, the robot stops.'), Tone.QUIET)
     elif not (world.locked or now.stopped):
-        yield Line(_('The robot stands still.'), Tone.QUIET)
+        yield Line(_('The robot is standing still.'), Tone.QUIET)
 
 
 @dataclass
@@ -158,7 +158,7 @@ class PlayScreen(Screen):
 
     menu: Do
     title: str = N_('Drive freely')
-    text: str = N_('Nothing here is a demonstration.')
+    text: str = N_('Nothing you do here counts as a demonstration.')
     leave: str = N_('menu')  # label of the Escape key
 
     def plays(self, app: App) -> bool:
@@ -191,7 +191,9 @@ class PlayScreen(Screen):
         if app.run is not None:
             lines += [
                 Line(
-                    _('The machine drives. {progress}').format(progress=translated(app.run_text)),
+                    _('The machine is driving. {progress}').format(
+                        progress=translated(app.run_text)
+                    ),
                     Tone.NEWS,
                 ),
                 pace_line(world),
@@ -297,7 +299,7 @@ class WatchScreen(PlayScreen):
             ),
             _correction(taught, self.correct, app),
             Command(
-                'xm', _('other execution'), self._change, _('choose between options differently')
+                'xm', _('change execution'), self._change, _('choose between options differently')
             ),
             Command(
                 'cy',
@@ -408,4 +410,4 @@ class WatchScreen(PlayScreen):
             )
             for state, gain in app.world.uncovered
         ]
-        app.show(ListScreen(_('Uncovered: teach from which place?'), items, back=self.again))
+        app.show(ListScreen(_('Teach from which uncovered place?'), items, back=self.again))

@@ -31,7 +31,7 @@ def end(app: App) -> None:
     app.end()
 
 
-QUIT = Command('qQ', N_('quit'), end, N_('quit; everything taught is saved for the next time'))
+QUIT = Command('qQ', N_('quit'), end, N_('quit; everything taught is saved for next time'))
 INTERRUPT = Command(
     [keys.INTERRUPT], N_('quit'), end, N_('quit at once')
 )  # handled in ``App.type``

@@ -29,12 +29,12 @@ from humanopts_teach.lesson.requests import LessonView, Phase
 
 ADVICE = 2  # maximum number of lines of advice on features
 _EXAM = N_(
-    'The criteria are met. Begin a run, from a start drawn at random, and watch it. Say right '
-    'after a right run, or wrong as soon as it goes wrong.'
+    'The criteria are met. Begin a run, from a start drawn at random, and watch it. Say '
+    'right if the whole run was right, or wrong as soon as it goes wrong.'
 )
 _EXAM_OF_ROBOT = N_(
-    'The criteria are met. Run the option from here, and watch it. Say right after a right run, '
-    'or wrong as soon as it goes wrong: the robot stops.'
+    'The criteria are met. Run the option from here, and watch it. Say right if '
+    'the whole run was right, or wrong as soon as it goes wrong: the robot stops.'
 )
 
 
@@ -85,7 +85,7 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     if lesson.phase is Phase.EXAM:
         blocks.append(Line(_(_EXAM_OF_ROBOT if world.robot else _EXAM)))
     if app.run is not None:
-        blocks.append(Line(_('The machine shows what it learned.'), Tone.NEWS))
+        blocks.append(Line(_('The machine shows what it has learned.'), Tone.NEWS))
         if not (lesson.exam and world.robot):
             blocks.append(pace_line(world))
     elif lesson.exam and _step(app):
@@ -100,12 +100,12 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
         blocks += advice  # at the top, since a small window hides the end
         below += _conflicts(progress, not advice, questions, demonstrations)
     elif progress is not None:
-        text = _('These results are for your earlier answers: show one more.')
+        text = _('These results are based on your earlier answers: show one more.')
         blocks.append(Line(text, Tone.WARNING))
     blocks.append(_features(app))
     if lesson.method not in ('', TREES):
         blocks.append(
-            Line(_('policy {how}').format(how=translated(METHODS[lesson.method])), Tone.QUIET)
+            Line(_('policy: {how}').format(how=translated(METHODS[lesson.method])), Tone.QUIET)
         )
     if progress is None or not progress.criteria:
         blocks.append(Line(_('Nothing has been learned yet.')))
@@ -137,7 +137,7 @@ def _position(app: App) -> Line:
         return Line(where, Tone.NEWS, more=(Line(counts, Tone.QUIET),))
     match lesson.phase:
         case Phase.DEMONSTRATING if not _is_there(app):
-            where = _('start {number} comes ...').format(number=start)
+            where = _('start {number} is coming ...').format(number=start)
         case Phase.DEMONSTRATING:
             where = (
                 _('start {number}, step {step}').format(number=start, step=step)
@@ -199,7 +199,9 @@ def _criteria(progress: OptionSummary) -> Iterator[Block]:
         yield Line(translated(progress.reach), Tone.NEWS)
     if measured := [c for c in progress.criteria if c.value is not None]:
         yield Line(
-            _('By {method}, tested on unseen starts:').format(method=translated(progress.method)),
+            _('Learned by {method}, tested on unseen starts:').format(
+                method=translated(progress.method)
+            ),
             Tone.QUIET,
         )
         yield Criteria([_criterion(criterion) for criterion in measured])
@@ -271,7 +273,7 @@ def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
                 low=low, high=high, why=why
             )
             if low > lesson.budget - progress.n_demonstrations:
-                text = _('More seem to be needed than the {most} of this lesson{why}.').format(
+                text = _('More than the {most} of this lesson seem to be needed{why}.').format(
                     most=lesson.budget, why=why
                 )
         yield Line(text)
@@ -282,7 +284,7 @@ def _results(progress: OptionSummary) -> Iterator[Line]:
     yours, its = progress.mean_return_demonstrations, progress.mean_return_policy
     if not math.isnan(its):
         text = _(
-            'mean return on starts it has seen: yours {yours:.2f}, the option {its:.2f}'
+            "mean return on starts it has seen: yours {yours:.2f}, the option's {its:.2f}"
         ).format(yours=Number(yours), its=Number(its))
         yield Line(text, Tone.QUIET)
 
@@ -319,6 +321,7 @@ def _conflicts(
     repeats = any(c.name == IMITATION and c.value == 1.0 for c in progress.criteria)
     if repeats and progress.n_questions + progress.exam_runs + progress.exams_failed:
         text = _(
-            'The option may repeat a run that you judged wrong. If you erred, delete the verdict'
+            'The option may repeat a run that you judged wrong. If that was a mistake, '
+            'delete the verdict'
         )
         yield Line(f'{text} ({demonstrations}).', Tone.WARNING)

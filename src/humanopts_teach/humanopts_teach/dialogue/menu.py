@@ -66,7 +66,7 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
     :param ask: whether to ask the person to confirm the code.
     """
     return OpeningScreen(
-        _('Who teaches?'),
+        _('Who is teaching?'),
         _('Your code keeps your options apart from those of others. Enter accepts it.'),
         participant,
         _enter,
@@ -85,7 +85,7 @@ def _enter(code: str, app: App) -> None:
     elif demonstrating and not app.world.holder:
         question = _(
             '{participant} has a demonstration under way, but is not in control now. '
-            '{participant} may still be there. Discard it?'
+            '{participant} may still be there. Discard the demonstration?'
         ).format(participant=lesson.participant)
         app.show(confirm(question, partial(_take_over, lesson.episode), app.screen.again))
     else:

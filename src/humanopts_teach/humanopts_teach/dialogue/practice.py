@@ -27,11 +27,12 @@ _TEXTS = {
         'could be: make tea. You teach a button by doing it yourself, from several starts.'
     ),
     Stage.NOT_HERE: N_(
-        'Good: with done, you say that the button ends here. Then the next start comes. '
-        'Sometimes, a button makes no sense at a start: there is no tea to make without water.'
+        'Good: done means that the button ends here. Then the next start comes up. '
+        'Sometimes a button makes no sense at a start: there is no tea to make without '
+        'water.'
     ),
     Stage.OVER: N_(
-        'Good: with not here, you say that the button cannot begin at this start. That is all: '
+        'Good: not here means that the button cannot begin at this start. That is all: '
         'do it and say done, or say not here.'
     ),
 }

@@ -166,7 +166,9 @@ class _ChoiceQuestion(Screen):
         question, points = self._asked.question, self._asked.questionnaire.points
         rows = [(f'1-{OPTION_KEYS[len(question.options) - 1]}', _('choose an answer'))]
         if question.kind is QuestionKind.CHOICES:
-            rows = [(rows[0][0], _('choose as many answers as you like; again: not this one'))]
+            rows = [
+                (rows[0][0], _('choose as many answers as you like; press again to undo a choice'))
+            ]
         elif question.kind is QuestionKind.RATING:
             rows = [('1', _(question.low)), (str(points), _(question.high))]
             rows.append(('← →', _('lower, higher')))
@@ -224,7 +226,7 @@ def _limits(question: Question) -> str:
     least, most = question.least, question.most
     words = {
         (True, True): _('a number from {least} to {most}'),
-        (True, False): _('a number from {least} on'),
+        (True, False): _('a number of at least {least}'),
         (False, True): _('a number up to {most}'),
         (False, False): _('a number'),
     }[least is not None, most is not None].format(

@@ -94,7 +94,7 @@ class SegmentsScreen(Screen):
                 else _('step {last}').format(last=last)
             )
             items.append((f'{steps}: {name or _("left out")}{kept}', _ends(segment)))
-        note = _('Parts with the same name that follow each other become one demonstration.')
+        note = _('Consecutive parts with the same name become one demonstration.')
         where = Line(
             _('board: step {number} of {count}').format(
                 number=self.step, count=len(self.play.actions)
@@ -177,7 +177,7 @@ class SegmentsScreen(Screen):
             found.setdefault(name, []).append(segment)
         left = [name for name in found if name not in self.kept]
         if not left:
-            app.say(_('Demonstrations are kept of {names}.').format(names=', '.join(found)))
+            app.say(_('Demonstrations kept: {names}.').format(names=', '.join(found)))
             self.menu(app)
             return
         name = left[0]

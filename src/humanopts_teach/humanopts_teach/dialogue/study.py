@@ -153,7 +153,7 @@ class StudyApp(App):
         if why == TIME:
             self._drop()
             self._interrupted = None
-            self.say(_('The time for this part is over.'))
+            self.say(_('The time for this part is up.'))
         if self.run is not None:
             self.ask(CancelRun())
         if lesson.phase is Phase.DEMONSTRATING and lesson.participant == self.participant:

@@ -55,17 +55,17 @@ _REFUSED = N_(
     'show it there; the machine learns little from not here alone.'
 )
 _EXPLAINED = N_(
-    'Say yes if you look at this to decide what to do, whether it can begin, or whether it is '
-    'done. Say no if it makes no difference. If you are not sure, say yes.'
+    'Say yes if you look at this to decide whether to begin, what to do, or when you '
+    'are done. Say no if it makes no difference. If you are not sure, say yes.'
 )
 _EXPLAINED_GROUP = N_(
-    'Say yes if any of this matters for what to do, whether it can begin, or whether it is done: '
-    'then a question about each follows. Say no if none of it makes a difference.'
+    'Say yes if any of this matters for whether to begin, what to do, or when you are '
+    'done: a question about each then follows. Say no if none of it makes a difference.'
 )
 _EXPLANATIONS = {
     Phase.DEMONSTRATING: N_(
         'Do it with the keys, and press Enter when it is done. If it cannot begin at this start, '
-        'say so before the first step: not here.'
+        'say not here before the first step.'
     ),
     Phase.CHECKING: N_(
         'The board shows what the machine would do. Say yes if that is right. Say no if it is '
@@ -168,7 +168,7 @@ class LessonScreen(Screen):
             'ek',
             _('questions'),
             self._ask_again,
-            _('answer again what the option depends on; Enter keeps an answer'),
+            _('say again what the option depends on; Enter keeps an answer'),
         )
         begin = Command([ENTER], _('begin here') if robot else _('begin'), self._begin)
         more = Command(
@@ -202,7 +202,7 @@ class LessonScreen(Screen):
                         'sa',
                         _('can start again at its end: {again}').format(again=again),
                         self._toggle_start,
-                        _('with done: set whether the option could start again where it ended'),
+                        _('before done: set whether the option could start again where it ended'),
                     ),
                     Command(
                         'nh',
@@ -231,7 +231,7 @@ class LessonScreen(Screen):
                     'c',
                     _('combine features'),
                     lambda app: app.show(CombineScreen(self.again)),
-                    _('make a new feature from others, such as their difference'),
+                    _('make a new feature from existing ones, such as their difference'),
                 )
                 commands += [*self._answers(app), self._previous(app), combine]
             case Phase.READY:
@@ -529,7 +529,7 @@ class LessonScreen(Screen):
         """Start a new episode and repeat all of the person's steps except the last."""
         lesson, since, driven = app.world.lesson, app.world.since, app.world.driven
         if since is None or since.step != lesson.machine_steps or not driven:
-            app.say(_('There is no step of yours to undo.'), bad=True)
+            app.say(_('You have not taken a step to undo.'), bad=True)
         elif lesson.paused:
             app.say(_('Not now: the lesson is paused, so no demonstration can begin.'), bad=True)
         else:
@@ -564,8 +564,8 @@ class LessonScreen(Screen):
                 Item(_('No'), _('only from now on'), self.again),
             ]
             title = ngettext(
-                'Could it start again where your {count} earlier demonstration ended, too?',
-                'Could it start again where your {count} earlier demonstrations ended, too?',
+                'Could it also start again where your {count} earlier demonstration ended?',
+                'Could it also start again where your {count} earlier demonstrations ended?',
                 len(shown),
             )
             app.show(ListScreen(title.format(count=len(shown)), items))
@@ -608,7 +608,7 @@ class LessonScreen(Screen):
         watch, states = partial(self._watch, demo.states[0]), demo.states
         items = [Item(_('Watch the option from its start'), _('and correct it'), watch, states)]
         if not demo.withdrawn:
-            note = _('it no longer counts, and its start comes again')
+            note = _('it no longer counts, and its start will come up again')
             if demo.kind is Kind.JUDGED:
                 note = _('this verdict no longer counts')
             items.append(Item(_('Delete it'), note, partial(self._delete, demo.uuid), states))
@@ -659,7 +659,7 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
         number=demo.number, what=what if steps else _('not here')
     )
     if demo.kind is Kind.JUDGED:
-        text = _('run {number}, called {verdict}: {what}').format(
+        text = _('run {number}, judged {verdict}: {what}').format(
             number=demo.number,
             verdict=pgettext('verdict', 'right') if demo.right else _('wrong'),
             what=what if steps else _('it would not start'),
@@ -671,7 +671,7 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
 
 
 def _say_changed(app: App, answer: Answer) -> None:
-    app.say(_('Earlier demonstrations are changed: it can start again at their ends.'))
+    app.say(_('Earlier demonstrations have been changed: it can start again at their ends.'))
 
 
 def _run(app: App) -> list[Request]:

@@ -16,7 +16,7 @@ from humanopts_teach.lesson.requests import Phase
 
 _SEEN = N_('the picture shows more than the option sees')
 _NO_PICTURE = N_('No picture: it needs a terminal with colours.')
-EMPTY = N_('nothing that you chose has a place on the board')
+EMPTY = N_('nothing that you chose appears on the board')
 _ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that show all features
 
 
@@ -85,7 +85,7 @@ def _message_line(app: App) -> Line:
     if app.run is not None and app.world.robot and lesson.phase is Phase.DEMONSTRATING:
         verdict = _('say wrong') if lesson.exam else _('take over')
         return Line(
-            _('Watch the option, and {verdict} as soon as it errs.').format(verdict=verdict),
+            _('Watch the option, and {verdict} as soon as it goes wrong.').format(verdict=verdict),
             Tone.GOOD,
         )
     return Line(translated(app.world.lesson.text) if app.screen.answers_lesson else '', Tone.GOOD)

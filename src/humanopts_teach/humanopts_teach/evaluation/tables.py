@@ -33,7 +33,7 @@ LIVE_OPTIONS = {  # known during teaching; mostly fields of OptionSummary
     'success': 'float64',  # share of starts that lead to an end like a demonstrated one
     'agreement': 'float64',  # share of held-out demonstrations that the option would repeat
     'imitation': 'float64',  # share of demonstrations with an end that the option misses
-    'return': 'float64',  # held-out shortfall of the return, as a share of its range
+    'return': 'float64',  # held-out shortfall in the return, as a share of its range
     'initiation': 'float64',  # held-out balanced error of I, 0 to 1
     'termination': 'float64',  # share of held-out demonstrations where the option ends elsewhere
     'ended_early': 'int64',  # count of these; so are the next two

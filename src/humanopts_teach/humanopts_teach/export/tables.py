@@ -227,7 +227,7 @@ def write_attached(bag: Bag, out: Path) -> list[Path]:
         if out.resolve() not in path.resolve().parents:
             raise ExportError(f'{bag.path} has an attachment with unsafe name {file.name!r}')
         if path.exists():
-            raise ExportError(f'{path} exists already; name another folder')
+            raise ExportError(f'{path} already exists; name another folder')
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(file.data)
         paths.append(path)

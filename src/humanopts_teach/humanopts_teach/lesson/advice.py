@@ -49,12 +49,15 @@ def advice(
         hint = _WITHOUT_STARTS.get(phase, hint)
         if phase is Phase.READY and lesson.n_demonstrations:
             why = f': {missing}' if missing else ''
-            hint = f'Drive to another start{why}. Or run the option and take over where it errs.'
+            hint = (
+                f'Drive to another start{why}. Or run the option and take over where it '
+                'goes wrong.'
+            )
     if phase is Phase.READY and wrong is not None:
         start = 'where you stopped the run' if wrong.stopped else 'where the run started'
         hint = f'Show what the option should do, starting {start}.'
     if lesson.exam:
-        hint = 'Watch the run of the option, then say right or wrong.'
+        hint = 'Watch the option run, then say right or wrong.'
     if lesson.paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
         hint = 'The lesson is paused.'
     if phase is Phase.FINISHED:
@@ -64,6 +67,7 @@ def advice(
     fails = phase in (Phase.READY, Phase.DEMONSTRATING) and stage is Phase.READY and wrong is None
     if fails and settled is not None and settled.criteria_met:
         return (
-            f'{settled.result[:-1]}, but from some starts it fails or too little was shown. {hint}'
+            f'{settled.result[:-1]}, but from some starts it fails, or too little has '
+            f'been shown. {hint}'
         )
     return hint

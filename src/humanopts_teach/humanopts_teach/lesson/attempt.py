@@ -80,7 +80,7 @@ class Attempt:
             return f'states of the game were lost ({self.gap})'
         moved = transition.state != self.start_state and not transition.refreshed
         if transition.step == 0 and moved:
-            return f'the game began in {transition.state} and not in {self.start_state}'
+            return f'the game began in {transition.state} instead of {self.start_state}'
         watched = self.watch and self.machine_steps == transition.step
         if self.exam and not watched:
             return 'a person moved in a run of the exam'
@@ -109,7 +109,8 @@ class Attempt:
             raise RefusalError(
                 RequestStatus.NOT_CURRENT,
                 f'the verdict is about episode {seen[0]} step {seen[1]}, but the demonstration '
-                f'is episode {self.episode}, and the game at episode {self.here[0]} step {last}',
+                f'is episode {self.episode}, and the game is at episode {self.here[0]} '
+                f'step {last}',
             )
         if verdict is Verdict.RIGHT and last == 0:
             detail = 'the machine has not moved: watch its run first, or say wrong, or discard'
@@ -123,7 +124,8 @@ class Attempt:
             raise RefusalError(RequestStatus.NO_STEPS, detail)
         if verdict is Verdict.NOT_HERE and last > self.machine_steps:
             detail = (
-                f'steps were taken ({last}), so "not here" is impossible: say done, or discard'
+                f'steps have been taken ({last}), so "not here" is no longer possible: '
+                'say done, or discard'
             )
             raise RefusalError(RequestStatus.STEPS_TAKEN, detail)
 

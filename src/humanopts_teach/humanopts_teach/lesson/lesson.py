@@ -56,17 +56,17 @@ from humanopts_teach.lesson.store import DemonstrationStore, Entry
 
 _ALL_NO = 'All answers were no, but an option depends on something: please answer again.'
 _READY = Phase.READY, Phase.CHECKING, Phase.EXAM, Phase.FINISHED  # a demonstration can begin
-_UNRECORDED = 'on disk but not in this recording; the next recording will have it'
+_UNRECORDED = 'on disk but not in this recording; the next recording will contain it'
 _OVER, _AT_LIMIT = 'The task is over.', 'The episode is at its step limit.'
 _REFUSED = {
     False: 'The learner refused the demonstration: {detail}.',
     True: 'The learner did not withdraw the demonstration: {detail}.',
 }
 _SILENT = {
-    False: 'The learner does not answer. The demonstration is on disk, and is sent again when a '
-    'learner starts.',
-    True: 'The learner does not answer. The withdrawal is on disk, and is sent again when a '
-    'learner starts.',
+    False: 'The learner is not responding. The demonstration is on disk, and will be sent '
+    'again when a learner starts.',
+    True: 'The learner is not responding. The withdrawal is on disk, and will be sent again '
+    'when a learner starts.',
 }
 
 
@@ -460,13 +460,13 @@ class Lesson:
         if verdicts and self.feedback.awaited is not None:
             raise _not_asked('the learner is still working on the last answer; wait for it')
         if request.question_id != self._question_id or not (option.answers or verdicts):
-            raise _not_asked('there is no question before this one to go back to')
+            raise _not_asked('there is no previous question to go back to')
         if verdicts:
             return self._withdraw(WithdrawDemonstration(verdicts[-1].uuid))
         self._write(self._book.event('answer taken back', option.name))
         self._notice = ''
         self._check_done()
-        return _ok('the question before is open again')
+        return _ok('the previous question is open again')
 
     def _prepare(self, request: BeginDemonstration) -> Answer:
         option, phase = self._option, self.phase
@@ -477,7 +477,7 @@ class Lesson:
             raise RefusalError(status, self._advice(self._facts))
         state, seed = self._next.choose(option, self._book.history.options, request)
         self._attempt = Attempt(state, request.watch or request.exam, request.exam)
-        return _ok('the start state is chosen', state=state, seed=seed)
+        return _ok('the start state has been chosen', state=state, seed=seed)
 
     def _watch(self, transition: Transition) -> bool:
         """Handle a state from the stream; return whether the view has changed."""
@@ -546,7 +546,7 @@ class Lesson:
             raise _wrong_phase(self._advice(self._facts))
         left = self._starts.rules.budget - len(option.demonstrations)
         if len(request.demonstrations) > left:
-            detail = f'{len(request.demonstrations)} are more than the budget leaves: {left}'
+            detail = f'{len(request.demonstrations)} are more than the budget has left: {left}'
             raise RefusalError(RequestStatus.BUDGET_SPENT, detail)
         try:
             added = self._records(option).added(request.demonstrations)
@@ -568,7 +568,7 @@ class Lesson:
         wanted = request.uuid or newest.uuid
         demo = next((demo for demo in self._option.everything if demo.uuid == wanted), None)
         if demo is None:
-            detail = f'{name} has no demonstration {wanted}, or it is withdrawn already'
+            detail = f'{name} has no demonstration {wanted}, or it has already been withdrawn'
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
         withdrawn = replace(demo, withdrawn=True)
         self._write(withdrawn)
@@ -578,7 +578,7 @@ class Lesson:
         count = len(demo.actions)
         steps = '1 step' if count == 1 else f'{count} steps'
         what = f'the demonstration of {steps}' if count else '"not here"'
-        text = f'{what} is withdrawn; its start comes again'
+        text = f'{what} has been withdrawn; its start will come up again'
         if demo.kind is Kind.JUDGED:
             text = f'the verdict "{"right" if demo.right else "wrong"}" is taken back'
         return _ok(text, uuid=wanted, unsent=(withdrawn,))
@@ -601,7 +601,7 @@ class Lesson:
             if fault := option_name_fault(new):
                 raise RefusalError(RequestStatus.BAD_NAME, fault)
             if new in self._book.history.options:
-                detail = f'an option is called {new!r} already'
+                detail = f'an option is already called {new!r}'
                 raise RefusalError(RequestStatus.NAME_TAKEN, detail)
             begun.append(self._book.event('option', new, method=option.method))
             begun += [

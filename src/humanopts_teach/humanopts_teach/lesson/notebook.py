@@ -45,12 +45,12 @@ class Notebook:
         """
         for what, code in (('participant', participant), ('session', session or 'new')):
             if not CODE.fullmatch(code):
-                detail = f'{what} {code!r} is not a code: {CODE_RULE}'
+                detail = f'{what} {code!r} is not a valid code: {CODE_RULE}'
                 raise RefusalError(RequestStatus.BAD_NAME, detail)
         if similar := similar_code(participant, self._store.participants()):
             detail = (
-                f'{participant!r} differs only in case from {similar!r}: give {similar!r}, '
-                'or another code'
+                f'{participant!r} differs only in case from {similar!r}: use '
+                f'{similar!r}, or another code'
             )
             raise RefusalError(RequestStatus.BAD_NAME, detail)
         history = History(self._domain, participant, self._entries(participant))
@@ -108,7 +108,7 @@ class Notebook:
             if name not in (*self.history.derived, *found):
                 found.append(name)
         if len(self.history.derived) + len(found) > MAX_DERIVED:
-            detail = f'{MAX_DERIVED} derived features are the most'
+            detail = f'at most {MAX_DERIVED} derived features are allowed'
             raise RefusalError(RequestStatus.BAD_FEATURE, detail)
         return found
 

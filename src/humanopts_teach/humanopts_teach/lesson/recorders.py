@@ -5,7 +5,7 @@ from dataclasses import dataclass
 PATIENCE = 50  # maximum number of checks without a new status of a recorder
 _ADVICE = 'Everything taught so far is on disk: quit, and the same command continues it.'
 SILENT = (
-    'the recorder does not respond any more, and the bag may lack the last seconds. ' + _ADVICE
+    'the recorder is no longer responding, and the bag may lack the last few seconds. ' + _ADVICE
 )
 AGAIN = 'another recorder is subscribing to the topics'
 

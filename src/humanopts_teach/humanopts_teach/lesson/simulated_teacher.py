@@ -116,10 +116,10 @@ class SimulatedTeacher:
             )
         for name in ('error_rate', 'extra_feature_rate'):
             if not 0.0 <= (rate := getattr(settings, name)) < 1.0:
-                raise TeacherError(f'{name} is {rate}, and must be at least 0 and below 1')
+                raise TeacherError(f'{name} is {rate}, but must be at least 0 and below 1')
         for name in ('step_limit', 'attempts'):
             if (least := getattr(settings, name)) < 1:
-                raise TeacherError(f'{name} is {least}, and must be 1 or more')
+                raise TeacherError(f'{name} is {least}, but must be 1 or more')
         self._finished: set[str] = set()
         self._tried = ('', 0)  # option and number of the current demonstration
         self._attempt = 0  # number of times it was discarded

@@ -28,7 +28,7 @@ OPEN_SESSION = 'open_session.json'
 _SUFFIX = '.jsonl'
 _LOCK = '.lock'
 CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')  # participants (also file names) and sessions
-CODE_RULE = 'letters, digits, - and _, at most 60 of them'
+CODE_RULE = 'use at most 60 letters, digits, - and _'
 
 
 def similar_code(code: str, known: Iterable[str]) -> str:

@@ -219,7 +219,7 @@ class LessonNode(NodeBase):
         request = ResetGame.Request(source=person, start_state=start, seed=seed)
         reply = await self.waiting.answer(self._reset, request, _GAME_DEADLINE)
         if reply is None:
-            return lesson.not_begun(no_game, 'Game does not answer.')
+            return lesson.not_begun(no_game, 'The game is not responding.')
         if reply.status != ResetGame.Response.STATUS_OK:
             bad = reply.status == ResetGame.Response.STATUS_BAD_STATE
             return lesson.not_begun(RequestStatus.BAD_STATE if bad else no_game, reply.detail)
@@ -227,7 +227,7 @@ class LessonNode(NodeBase):
         if not answer.ok:
             return answer
         if not await until(lambda: lesson.reached(reply.episode, 0), _GAME_DEADLINE):
-            return lesson.not_begun(no_game, 'The first state of the episode did not come.')
+            return lesson.not_begun(no_game, 'The first state of the episode did not arrive.')
         if lesson.phase is not Phase.DEMONSTRATING:
             return Answer(no_game, lesson.view.text)
         return answer

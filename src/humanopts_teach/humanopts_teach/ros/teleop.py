@@ -64,7 +64,9 @@ class TeleopNode(NodeBase):
         """Start the dialogue; the options are those of the base class."""
         super().__init__('keyboard_teleop', **options)
         participant = self.setting('participant', 'p1', 'code that is proposed to the person')
-        ask = self.setting('ask_participant', True, 'ask who teaches; false: it is participant')
+        ask = self.setting(
+            'ask_participant', True, 'ask who is teaching; false: it is participant'
+        )
         seed = self.setting('seed', 0, 'of the start states of free play and of plans', SEEDS)
         endpoints = {**TEACHING, **TERMINAL_SERVICES, **ACTIONS}
         self._client = GraphClient(self, endpoints, on_change=self._request_redraw)
@@ -187,7 +189,9 @@ class TeleopNode(NodeBase):
         """Send one of the last requests and return its future; None: its server is gone."""
         if isinstance(request, CancelRun):
             return self._goal.cancel() if self._goal is not None else None
-        assert not isinstance(request, ActionGoal), 'a terminal that ends begins nothing'
+        assert not isinstance(request, ActionGoal), (
+            'this terminal is closing, so it starts nothing'
+        )
         return self._client.send(request) if self._client.is_ready(type(request)) else None
 
     def _start(self, run: ActionGoal) -> None:

@@ -68,7 +68,7 @@ class EndedError(StudyError):
 
     def __init__(self, record: 'Record') -> None:
         self.record = record
-        super().__init__(N_(f'{record.code!r} has ended this study already; give another code'))
+        super().__init__(N_(f'{record.code!r} has already ended this study; use another code'))
 
 
 class FullError(StudyError):
@@ -83,8 +83,8 @@ class SimilarCodeError(StudyError):
 
     def __init__(self, code: str, known: str) -> None:
         super().__init__(
-            f'{code!r} differs only in case from {known!r}, who has taken part: give {known!r} '
-            'to go on, or another code'
+            f'{code!r} differs only in case from {known!r}, who has taken part: use '
+            f'{known!r} to continue, or another code'
         )
 
 
@@ -316,10 +316,10 @@ class StudyFolder:
         if not CODE.fullmatch(code):
             given = shown(code)
             raise StudyError(
-                N_(f'{given!r} is not a code: letters, digits, - and _, at most 60 of them')
+                N_(f'{given!r} is not a valid code: use at most 60 letters, digits, - and _')
             )
         if caseless(code) in _RESERVED:
-            raise StudyError(N_(f'{code!r} cannot be used as a code; give another one'))
+            raise StudyError(N_(f'{code!r} cannot be used as a code; use another one'))
         self.check(plan)
         records, problems = self.records()
         record = next((each for each in records if each.code == code), None)
@@ -427,7 +427,7 @@ class StudyFolder:
             handle = _take(record.path)
         if handle is None:
             raise StudyError(
-                N_(f'{record.code!r} takes part in another window or terminal at the moment.')
+                N_(f'{record.code!r} is taking part in another window or terminal at the moment.')
             )
         try:
             yield
@@ -481,7 +481,9 @@ class StudyFolder:
             record = next(each for each in self._named()[0] if each.code == code)
             handle = _take(record.path)
             if handle is None:
-                raise StudyError(f'{code!r} takes part at the moment; wait until that has ended')
+                raise StudyError(
+                    f'{code!r} is taking part at the moment; wait until that has ended'
+                )
             os.close(handle)
             place = record.read().place
             if (folder := self.path / code).exists():
@@ -576,7 +578,8 @@ class StudyFolder:
     ) -> None:
         if began.study != plan.study:
             raise StudyError(
-                f'{record.code!r} takes part in the study {began.study!r}, not in {plan.study!r}'
+                f'{record.code!r} is taking part in the study {began.study!r}, not in '
+                f'{plan.study!r}'
             )
         followed = self.plan_of(plan, record).order_of(record.place)
         if list(began.order) != [condition.name for condition in followed]:
@@ -587,8 +590,8 @@ class StudyFolder:
         if began.simulated != simulated:
             who = 'a simulated participant' if began.simulated else 'a person'
             raise StudyError(
-                f'{record.code!r} is {who} of this study: give another code, or another folder '
-                'with --study'
+                f'{record.code!r} is {who} of this study: use another code, or another '
+                'folder with --study'
             )
 
     def _named(self) -> tuple[list[Record], list[str]]:

@@ -55,7 +55,7 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     """
     if width < SMALLEST[0] or height < SMALLEST[1]:
         words = _(
-            'This window has {width} x {height} characters, and {least} x {lines} are needed: '
+            'This window has {width} x {height} characters, but {least} x {lines} are needed: '
             'please make it larger. (Ctrl-C quits; everything taught is saved.)'
         )
         least, lines = SMALLEST
@@ -101,7 +101,7 @@ def framed(
     room = max(height - len(lower) - len(upper), 0)
     lines = _lines_of(Group(middle(room)), width, colours)
     if len(lines) > room:
-        hint, shown = _('... (a higher window shows more)'), max(room - 1, 0)
+        hint, shown = _('... (a taller window shows more)'), max(room - 1, 0)
         first = min(scroll or 0, len(lines) - shown)
         if scroll is not None:
             hint = _('... ↓ shows more') if first + shown < len(lines) else _('↑ goes back up')

@@ -19,7 +19,7 @@ STEP_SECONDS = 0.5  # duration of a step at speed 1
 SLOWEST, FASTEST = 1 / 16, 64.0
 _ROOM_FOR_KEYS = 16  # minimum number of rows to show the keys
 _KEYS = (
-    *(('Space', 'pause, go on'), ('← →', 'one step'), ('+ -', 'speed')),
+    *(('Space', 'pause, resume'), ('← →', 'one step'), ('+ -', 'speed')),
     *(('n p', 'next, previous episode'), ('q', 'quit')),
 )
 _QUIT = {'q', 'Q', ESCAPE, INTERRUPT, END_OF_FILE}

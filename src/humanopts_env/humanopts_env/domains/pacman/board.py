@@ -16,10 +16,10 @@ EXPLANATION = (
     (PACMAN, 'Pac-Man: you'),
     (DOT, 'food: 10 points'),
     (BALL, 'a power pill: 50 points; it scares the ghosts for a while'),
-    (FRUIT, 'fruit, which is there for a short time: 100 points'),
+    (FRUIT, 'fruit, which appears for a short time: 100 points'),
     (' '.join(GHOSTS), 'ghosts'),
     (' '.join(SCARED), 'scared ghosts: 200 points each'),
-    (f'{LIFE} {LOST}', 'lives that are left and lost'),
+    (f'{LIFE} {LOST}', 'lives left and lost'),
 )
 
 

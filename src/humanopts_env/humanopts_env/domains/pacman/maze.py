@@ -92,7 +92,7 @@ def parse_maze(text: str) -> Maze:
     }
     pacmen = [cell for cell, character in found.items() if character == PACMAN]
     if len(pacmen) != 1:
-        raise MazeError(f'the maze has {len(pacmen) or "no"} Pac-Man (P), and must have one')
+        raise MazeError(f'the maze has {len(pacmen) or "no"} Pac-Man (P), but must have one')
     reached = _flood(set(found), pacmen[0])
     _check_contents(found, reached)
     cells = tuple(sorted(reached))
@@ -143,7 +143,7 @@ def _check_shape(lines: list[str]) -> None:
             )
     if max(len(lines), len(lines[0])) > MAX_SIDE:
         raise MazeError(
-            f'the maze has {len(lines)} x {len(lines[0])} characters, and may have at most '
+            f'the maze has {len(lines)} x {len(lines[0])} characters, but may have at most '
             f'{MAX_SIDE} x {MAX_SIDE}'
         )
     for row, line in enumerate(lines, start=1):
@@ -168,10 +168,10 @@ def _check_contents(found: dict[Cell, str], reached: set[Cell]) -> None:
         raise MazeError('the maze has no food (.), so there is nothing to clear')
     ghosts = sum(character in GHOST + NUMBERED for character in found.values())
     if ghosts > MAX_GHOSTS:
-        raise MazeError(f'the maze has {ghosts} ghosts, and may have at most {MAX_GHOSTS}')
+        raise MazeError(f'the maze has {ghosts} ghosts, but may have at most {MAX_GHOSTS}')
     if len(reached) > MAX_CELLS:
         raise MazeError(
-            f'the maze has {len(reached)} open cells, and may have at most {MAX_CELLS}'
+            f'the maze has {len(reached)} open cells, but may have at most {MAX_CELLS}'
         )
 
 

@@ -122,7 +122,7 @@ def _check(maze: Maze, lives: int, state: PacManState) -> None:
     limits = (('fruit', state.fruit, FRUIT_STEPS), ('lives', state.lives, lives))
     for name, value, most in (*limits, ('score', state.score, MAX_SCORE)):
         if value > most:
-            raise StateError(f'{name} is {value}, and may be at most {most}')
+            raise StateError(f'{name} is {value}, but may be at most {most}')
 
 
 def _cell(maze: Maze, row: str, col: str) -> int:
