@@ -90,4 +90,4 @@ def test_a_lesson_over_https_through_the_proxy_of_the_documentation(
         assert all(url.startswith(site.replace('https', 'wss')) for url in sockets)
         assert severe(window) == []
         window.driver.get(f'{site}/wrong')
-        window.see('This address is not complete.')
+        window.see('This address is incomplete.')

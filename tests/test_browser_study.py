@@ -229,12 +229,12 @@ def test_codes_are_assigned_by_one_server(
 @pytest.mark.parametrize(
     ('query', 'sentence'),
     [
-        ('?PROLIFIC_PID=%3Cscript%3Ealert(1)%3C/script%3E', 'is not a code'),
-        ('?PROLIFIC_PID=', 'is not a code'),
+        ('?PROLIFIC_PID=%3Cscript%3Ealert(1)%3C/script%3E', 'is not a valid code'),
+        ('?PROLIFIC_PID=', 'is not a valid code'),
         ('?PROLIFIC_PID=zoe&STUDY_ID=' + 201 * 'x', 'The value of STUDY_ID'),
         ('?PROLIFIC_PID=zoe&STUDY_ID=%00', 'The value of STUDY_ID'),
         ('?lang=../de', 'unknown language; choose from de, en.'),
-        ('/%3Cscript%3E', 'is not a code'),
+        ('/%3Cscript%3E', 'is not a valid code'),
         ('/zoe/more', 'There is no such page.'),
     ],
 )

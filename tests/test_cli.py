@@ -228,7 +228,7 @@ def test_a_shell_completes_what_is_typed(
         (('teach', 'taxi', '--browser', '--only', 'game'), ['--only is not for --browser']),
         (('teach', 'taxi'), ['terminal']),
         (('status', '--namespace', 'room'), ["'room' is not a namespace"]),
-        (('teach', 'taxi', '--participant', 'J. Doe'), ["'J. Doe' is not a code"]),
+        (('teach', 'taxi', '--participant', 'J. Doe'), ["'J. Doe' is not a valid code"]),
         (('bag',), ['command']),
         (('bag', 'burn', 'x'), ["'burn'", 'info', 'eval']),
         (('bag', 'info'), ['BAG']),

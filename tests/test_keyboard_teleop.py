@@ -199,13 +199,13 @@ def test_a_key_takes_the_wheel_from_the_machine_and_a_cut_connection_ends_the_te
         terminal.press(ENTER)
         terminal.until(
             lambda: (
-                'The machine drives. 1 steps' in terminal.words()
+                'The machine is driving. 1 steps' in terminal.words()
                 or f'{PICKUP}: ' in terminal.text()
                 or 'initiation' in terminal.text()
             ),
             f'run {number}',
         )
-        if 'The machine drives. 1 steps' in terminal.words():
+        if 'The machine is driving. 1 steps' in terminal.words():
             break
     terminal.press('d')
     terminal.see('You took over')
@@ -338,7 +338,7 @@ def test_the_picture_of_an_environment_follows_each_key(terminals: Terminals) ->
     for words, key in (('Who is teaching?', ENTER), ('4 Drive freely', '4')):
         terminal.see(words)
         terminal.press(key)
-    terminal.see('Nothing here is a demonstration')
+    terminal.see('Nothing you do here counts as a demonstration')
     waits = []
     for step in range(1, KEYS + 1):
         began, frame = time.perf_counter(), b''

@@ -229,7 +229,7 @@ def test_a_late_learner_gets_all_and_what_is_taken_back_is_unlearned_and_run_no_
     person.get_ready()
     lesson.set_parameters([Parameter('learner_deadline', value=0.2)])
     first = person.demonstrate()
-    graph.until(lambda: 'learner does not answer' in person.lesson.text, 'the lesson to go on')
+    graph.until(lambda: 'learner is not responding' in person.lesson.text, 'the lesson to go on')
     lesson.set_parameters([Parameter('learner_deadline', value=30.0)])
     learner = start_learner(graph)
 
@@ -325,7 +325,7 @@ def test_what_becomes_of_the_game_reaches_the_person_and_the_lesson_stays_ready(
 @pytest.mark.parametrize(
     ('node', 'parameters', 'says'),
     [
-        (LESSON, {'strategy': 'guess'}, "'guess' is none of random"),
+        (LESSON, {'strategy': 'guess'}, "'guess' is not one of random"),
         (LESSON, {'budget': 0}, 'budget'),
         (LESSON, {'participant': 'no code', 'directory': 'DIRECTORY'}, 'not a code'),
         (TEACHER, {'options': ['fly']}, "no reference option 'fly'"),
@@ -399,7 +399,7 @@ def test_a_recording_that_stops_pauses_the_lesson_until_the_next_one_has_all_tha
     for recorder in recorders:
         live.stop(recorder)
     with live.hurried():
-        assert 'the recorder does not respond any more' in paused()
+        assert 'the recorder is no longer responding' in paused()
     assert uuids(folder / 'first') == shown[:1]
     assert uuids(folder / 'second') == shown
 

@@ -401,7 +401,7 @@ def test_the_sampled_mode_is_a_function_of_the_seed_and_the_moment(
         taken.append(expected)
     assert taken[0] != taken[1]
     text = live.refused(OPTION_SERVER, mode='lazy')
-    assert text == "parameter mode: 'lazy' is none of greedy, sampled"
+    assert text == "parameter mode: 'lazy' is not one of greedy, sampled"
 
 
 def sampled(seed: int, episode: int) -> list[str]:

@@ -113,7 +113,7 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
         person.expect(pexpect.EOF)
     assert person.exitstatus == 0
     with pexpect.spawn(sys.executable, program, timeout=60) as again:
-        again.expect_exact("'anna' has ended this study already")
+        again.expect_exact("'anna' has already ended this study")
         again.expect(pexpect.EOF)
     assert again.exitstatus == 2
     (record,) = folder.glob('000-anna.jsonl')

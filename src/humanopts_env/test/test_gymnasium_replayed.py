@@ -319,7 +319,11 @@ def test_a_declaration_that_cannot_be_used_is_refused(
         (WALK, {'special': 'image'}, r'64 x 64 x 3 numbers .* write an extractor'),
         (WALK, {'special': 'sequence'}, 'observations of the kind Sequence .* write an extractor'),
         (WALK, {'special': 'keys'}, '80 actions, and there are keys for 62'),
-        (WALK, {'special': 'fickle'}, 'not determined by its seed: after 0 equal actions, obs'),
+        (
+            WALK,
+            {'special': 'fickle'},
+            'not determined by its seed: after 0 identical actions, obs',
+        ),
         (WALK, {'special': 'slow'}, r'took \d+\.\d s for 1 steps'),
         (WALK, {'special': 'raises'}, 'failed: RuntimeError: the floor is wet'),
         (

@@ -54,7 +54,7 @@ def test_numbered_ghosts_come_in_order_and_g_is_the_first() -> None:
         (surrounded('P.%.'), 'food in line 2, column 5 cannot be reached'),
         (surrounded('P.%o'), 'a power pill in line 2, column 5 cannot be reached'),
         (surrounded('P.%G'), 'a ghost in line 2, column 5 cannot be reached'),
-        (surrounded('P.', '...'), 'line 3 of the maze has 5 characters, and line 1 has 4'),
+        (surrounded('P.', '...'), 'line 3 of the maze has 5 characters, but line 1 has 4'),
         (surrounded('P.x'), "line 2, column 4 of the maze is 'x'"),
         (surrounded('P.5'), "is '5'"),
         ('%%%%\n%P..\n%%%%', 'the border is open in line 2'),
@@ -82,7 +82,7 @@ def test_a_maze_is_read_from_a_file_and_named_in_errors(tmp_path: Path) -> None:
     with pytest.raises(MazeError, match=r'own\.lay: the maze has no food'):
         load_maze(str(path))
     path.write_bytes(b'\xff\xfe')
-    with pytest.raises(MazeError, match='is not a text in UTF-8'):
+    with pytest.raises(MazeError, match='is not UTF-8 text'):
         load_maze(str(path))
 
 

@@ -92,7 +92,7 @@ def read_lines(
             entries.append(entry_of(line.decode()))
         except ValueError as error:
             utf8 = isinstance(error, UnicodeDecodeError)
-            why = 'it is not a text in UTF-8' if utf8 else str(error)
+            why = 'it is not UTF-8 text' if utf8 else str(error)
             if len(problems) < MAX_NAMED:
                 problems.append(f'line {number} of {path} is left out: {why}')
             else:

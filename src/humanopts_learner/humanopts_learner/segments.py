@@ -129,7 +129,7 @@ def cut(domain: ActableDomain, play: Demonstration, events: Iterable[str]) -> li
     if unknown := set(events) - set(columns):
         raise DomainError(
             f'{domain.name} has no feature {", ".join(sorted(unknown))}; '
-            f'there is {", ".join(columns)}'
+            f'choose from {", ".join(columns)}'
         )
     rows, watched = play.feature_rows, [columns[name] for name in events]
     changed: Flags = np.diff(rows[:, watched], axis=0) != 0  # (T, events)

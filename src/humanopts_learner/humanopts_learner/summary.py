@@ -202,7 +202,7 @@ class OptionSummary:
         if found.name == AGREEMENT:
             return f'It would repeat {of} demonstrations that it was not learned from.'
         other = round(((found.possible or 0.0) - found.value) * found.count)
-        also = f', and from {other} an end that you have not judged' if other > 0 else ''
+        also = f', and from {other} it reaches one that you have not judged' if other > 0 else ''
         if self.evidence == EVERY_START:
             return f'Of all {found.count} starts, it reaches an end like yours from {count}{also}.'
         return f'It reaches an end like yours from {of} starts (drawn at random){also}.'

@@ -252,7 +252,7 @@ def test_a_line_that_is_not_utf8_is_left_out_and_named(path: Path) -> None:
     path.write_bytes(b'\xff\n{"a": 1}\n')
     log = AppendOnlyLog(path)
     assert log.read(str) == ['{"a": 1}']
-    assert log.problems == [f'line 1 of {path} is left out: it is not a text in UTF-8']
+    assert log.problems == [f'line 1 of {path} is left out: it is not UTF-8 text']
 
 
 def test_a_write_goes_on_after_a_part_of_it_and_leaves_the_file_as_it_was_where_it_fails(

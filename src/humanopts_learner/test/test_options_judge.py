@@ -322,7 +322,7 @@ def test_ends_of_a_plan_are_right_where_they_were_shown_or_called_right(person: 
     assert (success.met, success.unanswered, found.evidence) == (False, True, EVERY_START)
     assert (found.settled, found.criteria_met) == (True, False)
     assert 'Of all 300 starts, it reaches an end like yours from 225' in found.reach
-    assert 'from 75 an end that you have not judged' in found.reach
+    assert 'from 75 it reaches one that you have not judged' in found.reach
     right = judge([*shown, called(True, person, 3, shown)], TAXI, Thresholds(), 0)
     assert named(right)[SUCCESS].value == 1.0
     assert right.criteria_met

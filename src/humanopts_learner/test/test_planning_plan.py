@@ -325,5 +325,5 @@ def test_options_are_chosen_by_person_and_name_in_the_order_they_have() -> None:
         select_options([a, b, c], 'human')
     with pytest.raises(NoOptionsError, match="'eve' taught no option; those who did: ann, bob"):
         select_options([a, b, c], 'human', 'eve', ['a'])
-    with pytest.raises(PlanError, match="no option 'b', 'fly'; there is 'a'"):
+    with pytest.raises(PlanError, match="no option 'b', 'fly'; choose from 'a'"):
         select_options([a, b, c], 'human', 'bob', ['b', 'a', 'fly'])

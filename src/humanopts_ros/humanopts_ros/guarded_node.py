@@ -231,7 +231,7 @@ class GuardedNode(Node):
         except ParameterException as error:
             raise StartError(f'parameter {name}: {error}') from error
         if among and value not in among:
-            raise StartError(f'parameter {name}: {value!r} is none of {", ".join(among)}')
+            raise StartError(f'parameter {name}: {value!r} is not one of {", ".join(among)}')
         if on_change is not None:
             self._on_change[name] = on_change
         return value

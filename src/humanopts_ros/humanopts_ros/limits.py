@@ -33,7 +33,7 @@ def parse_json(text: str, limit: int = MAX_JSON) -> Any:
         that is too large or not finite.
     """
     if len(text) > limit:
-        raise JsonError(f'it has {len(text):,} characters, and {limit:,} are allowed')
+        raise JsonError(f'it has {len(text):,} characters, but only {limit:,} are allowed')
     try:
         value = json.loads(text)
     except RecursionError:

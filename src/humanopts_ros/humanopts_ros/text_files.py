@@ -83,7 +83,7 @@ def read_text(path: Path, limit: int = MAX_TEXT) -> str:
     try:
         text = read_bytes(path, limit).decode('utf-8-sig')
     except UnicodeDecodeError:
-        raise FileError(f'{_named(path)} is not a text in UTF-8') from None
+        raise FileError(f'{_named(path)} is not UTF-8 text') from None
     return text.replace('\r\n', '\n').replace('\r', '\n')
 
 
@@ -116,7 +116,7 @@ def parse_yaml(text: str) -> Any:
         (<<), tags or several documents, or contains a number that is too large or not finite.
     """
     if len(text) > MAX_YAML:
-        raise YamlError(f'it has {len(text):,} characters, and {MAX_YAML:,} are allowed')
+        raise YamlError(f'it has {len(text):,} characters, but only {MAX_YAML:,} are allowed')
     if text.count('\n%') + text.startswith('%') > _MAX_DIRECTIVES:
         raise YamlError('it has too many directives, lines that begin with %: remove them')
     try:
@@ -170,7 +170,7 @@ def _value(node: yaml.Node, depth: int, number: Iterator[int]) -> Any:
     values: dict[str, Any] = {}
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise _refused(key, 'a key has to be a plain text')
+            raise _refused(key, 'a key must be plain text')
         if key.value == '<<' and not key.style:
             raise _refused(key, 'merge keys (<<) cannot be used: write the entries out')
         if key.value in values:

@@ -123,7 +123,8 @@ def plays_in_dataset(name: str, folder: Path | None = None) -> tuple[Domain, Pla
         same = domain.is_over(states[-1]) == bool(episode.terminations[-1])
         if not (same and np.allclose(gained, rewards)):
             raise PlayError(
-                f'episode {number} of {name} has other rewards or another end when it is repeated'
+                f'episode {number} of {name} has different rewards or a different end when it '
+                'is repeated'
             )
         try:
             plays[number] = make_demonstration(

@@ -113,7 +113,7 @@ def test_a_stranger_gets_a_short_page_and_no_client(address: str, path: str, mor
     assert 'text/html' in head
     assert 'cookie' not in head.lower()
     assert '<h1' in body
-    assert 'This address is not complete.' in body
+    assert 'This address is incomplete.' in body
     assert set(Client.instances) <= before
 
 
@@ -321,8 +321,8 @@ def test_each_request_of_a_connection_names_the_token(address: str) -> None:
         connection.sendall((asked.format(f'{TOKEN}/a%20b') + asked.format('wrong')).encode())
         answers = b''.join(iter(lambda: connection.recv(65536), b'')).decode()
     assert answers.count('HTTP/1.1 404 ') == 2
-    assert 'is not a code' in answers
-    assert 'This address is not complete.' in answers
+    assert 'is not a valid code' in answers
+    assert 'This address is incomplete.' in answers
 
 
 def test_a_page_has_its_farewell_before_the_server_is_gone(

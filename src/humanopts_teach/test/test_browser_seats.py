@@ -144,7 +144,7 @@ STORIES = {
         A enters anna
         A shows begun
         B enters anna
-        B shows anna is in another window just now.
+        B shows anna is active in another window right now.
         B presses x
         A presses a
         A shows a on 1

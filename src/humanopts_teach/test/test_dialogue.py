@@ -111,7 +111,7 @@ EVENTS: dict[str, Callable[[Desk], object]] = {
     'the next start is at R': lambda desk: setattr(desk.app, 'next_start', AT_R),
     'the machine takes two steps': lambda desk: desk.machine('north', 'east'),
     'the run ends': lambda desk: desk.run_ends('You took over.'),
-    'the option ends': lambda desk: desk.run_ends(f'{NAME}: it ends.'),
+    'the option ends': lambda desk: desk.run_ends(f'{NAME}: its termination condition holds.'),
     'its criteria are met': meet_criteria,
     'planning ends': lambda desk: desk.run_ends('Planned.'),
     'it plays': lambda desk: have(desk, running='action:north', execution='interrupted'),
@@ -356,7 +356,7 @@ def test_who_is_displaced_asks_nothing_of_the_others_lesson_and_gives_control_ba
 
 def test_earlier_demonstrations_can_start_again_at_their_end_too(desk: Desk) -> None:
     desk.press('left', 'p', 'enter', 'n')
-    assert 'where your 1 earlier demonstration ended, too?' in desk.press('s').see()
+    assert 'where your 1 earlier demonstration ended?' in desk.press('s').see()
     desk.press('2', 's', 's')
     desk.asked.clear()
     assert desk.press('1').asked == []
@@ -502,7 +502,7 @@ def test_a_start_that_is_refused_is_drawn_alone(examined: Desk) -> None:
     asks(examined, states=(AT_R,))
     assert examined.advance(9.0).app.screen.state == AT_R
     assert 'board:' not in (seen := examined.see())
-    assert 'step on' not in seen
+    assert 'step forward' not in seen
 
 
 def test_an_answer_counts_only_for_the_question_that_was_seen(examined: Desk) -> None:

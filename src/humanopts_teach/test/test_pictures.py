@@ -131,7 +131,7 @@ def test_an_image_is_smaller_where_the_text_needs_more_room(desk: Desk) -> None:
     desk.world.summaries = [found]
     screen = frame(desk.app, 80, 24, 'truecolor')
     assert max(line.count('▀') for line in screen) == 26 < wide
-    assert 'higher window' not in '\n'.join(screen)
+    assert 'taller window' not in '\n'.join(screen)
 
 
 def test_before_any_are_chosen_all_features_are_in_the_table(desk: Desk) -> None:

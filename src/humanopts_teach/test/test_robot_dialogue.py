@@ -39,7 +39,7 @@ EVENTS: dict[str, Callable[[RobotDesk], object]] = {
     'the machine goes home': lambda desk: desk.moves('home'),
     'it gets home': lambda desk: (
         desk.after(6.0),
-        desk.run_ends(f'{NAME}: it ends (1 step, reward -1).'),
+        desk.run_ends(f'{NAME}: its termination condition holds (1 step, reward -1).'),
     ),
     'the door closes': lambda desk: (setattr(desk.rover, 'door', 1.0), desk.after(0.3)),
     'its criteria are met': meet_criteria,

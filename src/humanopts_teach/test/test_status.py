@@ -54,7 +54,7 @@ def test_a_node_that_does_not_work_is_a_fault(changes: dict[str, object], fault:
     [
         ({'stopped': True, 'text': 'recording stopped: full'}, 'recording stopped: full'),
         ({'behind': True, 'text': 'it does not keep up'}, 'it does not keep up'),
-        ({'missing': 3}, '3 messages are missing in the bag'),
+        ({'missing': 3}, '3 messages are missing from the bag'),
         ({'complete': False}, 'the recorder still lacks some topics'),
         ({'disk_left': LITTLE_DISK - 1}, '1,000.0 MB are left on the disk'),
     ],

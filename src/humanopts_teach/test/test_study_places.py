@@ -260,7 +260,7 @@ def test_one_person_takes_part_in_one_place_at_a_time(
     plan: StudyPlan, folder: StudyFolder
 ) -> None:
     study = Study(plan, folder, '/')
-    text = "'anna' takes part in another window or terminal at the moment."
+    text = "'anna' is taking part in another window or terminal at the moment."
     with study.enter('anna') as record:
         assert folder.running() == {'anna'}
         with pytest.raises(StudyError) as raised, study.enter('anna'):
@@ -302,7 +302,7 @@ def test_a_code_of_another_study_is_refused(
     record = folder.path / '000-anna.jsonl'
     event = json.loads(record.read_text())
     record.write_text(json.dumps({**event, 'protocol': ''}) + '\n')
-    text = "'anna' takes part in the study 'other', not in 'st'"
+    text = "'anna' is taking part in the study 'other', not in 'st'"
     assert refused(folder, plan, 'anna') == text
 
 
@@ -339,7 +339,7 @@ def test_a_deletion_leaves_no_trace_of_the_code(
     assert record.path.exists()
     assert main(['study', 'withdraw', *words, '--yes']) == 0
     said = capsys.readouterr().out
-    assert said.startswith('3 files of p-ben are deleted. Tables and reports')
+    assert said.startswith('3 files of p-ben have been deleted. Tables and reports')
     left = [each for each in folder.path.rglob('*') if 'p-ben' in str(each)]
     assert left == []
     assert all(b'p-ben' not in each.read_bytes() for each in folder.path.rglob('*.jsonl'))

@@ -329,9 +329,9 @@ def test_a_code_that_differs_only_in_case_is_asked_about_or_refused(
         assert "'simulated-1' differs only in case from 'Simulated-1'" in capsys.readouterr().err
         words = ['-m', 'humanopts_teach', *plan, '--participant', 'SIMULATED-1']
         terminal = pexpect.spawn(sys.executable, words, encoding='utf-8', timeout=60.0)
-        terminal.expect_exact('Go on as Simulated-1? [y/N]')
+        terminal.expect_exact('Continue as Simulated-1? [y/N]')
         terminal.sendline('n')
-        terminal.expect_exact("give 'Simulated-1' to go on, or another code")
+        terminal.expect_exact("use 'Simulated-1' to continue, or another code")
         terminal.expect(pexpect.EOF)
         terminal.close()
     assert terminal.exitstatus == 2

@@ -172,9 +172,9 @@ def test_any_merge_file_is_read_or_refused_in_one_line_at_once(tmp_path: Path, t
 @pytest.mark.parametrize(
     ('text', 'why'),
     [
-        ('[a, b]', 'has to map'),
+        ('[a, b]', 'must map'),
         ('a: b', "'a' needs a list"),
-        ('a: [no]', "a wording of 'a' is false, not a text: put it in quotes"),
+        ('a: [no]', "a wording of 'a' is false, not text: put it in quotes"),
         ('"": [b]', "'' is not a name"),
         ('a: [b]\na: [c]', "the key 'a' occurs twice"),
         ('a: !!python/name:os.system []', 'remove tags'),

@@ -90,7 +90,7 @@ def test_the_fullest_screens_fit_in_80_by_24(desk: Desk, pacman: Desk) -> None:
     ]
     for each in (desk, pacman):
         screen = each.sees()
-        assert 'higher window' not in screen
+        assert 'taller window' not in screen
         assert '…' not in screen
         said = each.see().split('\n')[2:-2]  # all words are there, however they are wrapped
         words = {word for line in said for word in line.split() if word.isalpha()}
@@ -122,7 +122,7 @@ def test_advice_fits_in_80_by_24_even_if_the_criteria_do_not(pacman: Desk) -> No
     words = ' '.join(line[41:].strip() for line in pacman.sees().split('\n'))
     assert 'choose one that changes there (e questions).' in words
     assert 'say so before you say done (s can start again at its end).' in words
-    assert 'higher window' in pacman.sees()
+    assert 'taller window' in pacman.sees()
     assert 'say so before you say done' not in pacman.press('s').see()  # the advice was followed
 
 
@@ -130,7 +130,7 @@ def test_advice_for_earlier_answers_is_not_shown(pacman: Desk) -> None:
     found = learned(('ate',), 12.5, 0.125, None, conflicts=('a conflict',), advice=(UNTOLD,))
     pacman.world.summaries = [found]
     shown = pacman.see()
-    assert 'for your earlier answers: show one more' in shown
+    assert 'based on your earlier answers: show one more' in shown
     assert 'No chosen feature tells' not in shown
     assert 'a conflict' not in shown
 
@@ -144,8 +144,8 @@ def test_a_wide_board_leaves_room_for_what_is_beside_it(pacman: Desk) -> None:
 
 
 def test_a_small_window_shows_what_size_is_needed(desk: Desk) -> None:
-    assert '69 x 24 characters, and 70 x 20 are needed' in desk.sees(69, 24)
-    assert '80 x 19 characters, and 70 x 20 are needed' in desk.sees(80, 19)
+    assert '69 x 24 characters, but 70 x 20 are needed' in desk.sees(69, 24)
+    assert '80 x 19 characters, but 70 x 20 are needed' in desk.sees(80, 19)
     assert 'Teaching' in desk.sees(70, 20)
 
 

@@ -210,8 +210,8 @@ class GymnasiumDomain(TableDomain[int]):
         again = make_env(self.name, self.env_id, arguments)
         if _read_table(self.name, again.unwrapped) != self._table:
             raise DomainError(
-                f'{self.name} is another game each time that it is made with these arguments, '
-                'so a recording could not say which was played'
+                f'{self.name} becomes a different game each time it is made with these '
+                'arguments, so a recording could not say which was played'
             )
         super().__init__(range(len(self._table)))
         self._starts = _start_shares(self.name, env, len(self._table))
@@ -282,7 +282,9 @@ def make_env(
     :raises DomainError: the environment is unknown, refuses the arguments, or raises an error.
     """
     if 'render_mode' in arguments:
-        raise DomainError(f'{name} is drawn as it can be: leave render_mode out')
+        raise DomainError(
+            f'the render mode of {name} is chosen automatically: leave render_mode out'
+        )
     package = package_of(env_id)
     mode: dict[str, Any] = {} if render_mode is None else {'render_mode': render_mode}
     try:
@@ -393,8 +395,8 @@ def _end_states(name: str, table: Table, starts: set[int]) -> set[int]:
                     waiting.append(to)
     if ended & entered:
         raise DomainError(
-            f'{name}: state {min(ended & entered)} ends the task on one way into it and not on '
-            'another, so the state alone does not say whether the task is over'
+            f'{name}: state {min(ended & entered)} ends the task when entered one way but not '
+            'when entered another, so the state alone does not say whether the task is over'
         )
     anywhere = {to for row in table for entries in row for p, to, _, over in entries if over and p}
     return anywhere - entered

@@ -40,7 +40,7 @@ ACTIONS = {
     'pickup': 'pick up the object in front',
     'drop': 'put the carried object down in front',
     'toggle': 'open, close or unlock what is in front',
-    'declare_done': 'declare that the mission is done; only some need it',
+    'declare_done': 'declare that the mission is done; only some missions need it',
 }
 Cell = tuple[int, int]  # column, row, as in MiniGrid
 

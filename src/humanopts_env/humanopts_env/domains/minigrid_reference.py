@@ -96,15 +96,15 @@ OPEN_DOOR = Rule(
 )
 GO_TO_GOAL = Rule(
     'go to the goal',
-    'Starts where there is a way to the goal; walks there, and opens closed doors on it; ends '
-    'there.',
+    'Starts where there is a path to the goal; walks there, opening closed doors on the way; '
+    'ends there.',
     ('front', 'goal_path'),
     lambda env, _: best_moves(env, (find(env, 'goal'), FORWARD)),
     lambda env, _: contents(env.grid.get(*env.agent_pos)) == 'goal',
 )
 GET_OBJECT = Rule(
     'get the object',
-    'Starts where there is a way to the object of the mission; puts down what is carried, walks '
+    'Starts where there is a path to the object of the mission; puts down what is carried, walks '
     'to the object and picks it up; ends with it in hand.',
     ('carrying', 'front', 'left', 'right', 'ball_path', 'box_path'),
     lambda env, _: best_moves(env, to_the_object(env)),

@@ -188,9 +188,9 @@ class ReplayedDomain(Domain[History], ABC):
                 for what, one, two in zip(names, first, second):
                     if one != two:
                         raise DomainError(
-                            f'{self.name} is not determined by its seed: after {step} equal '
-                            f'actions, {what} was {one} once and {two} later; draw all random '
-                            'numbers from the seed, in Gymnasium by self.np_random'
+                            f'{self.name} is not determined by its seed: after {step} '
+                            f'identical actions, {what} was {one} once and {two} later; draw '
+                            'all random numbers from the seed, in Gymnasium by self.np_random'
                         )
 
     @cached_property

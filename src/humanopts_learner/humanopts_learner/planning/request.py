@@ -172,7 +172,7 @@ class PlanRequest:
         if self.action_set != PRIMITIVE:
             if not options:
                 way = 'extract them' if self.action_set in OF_MACHINES else 'teach one'
-                lacking = f'the action set {self.action_set} needs options and there are none'
+                lacking = f'the action set {self.action_set} needs options, but there are none'
                 raise NoOptionsError(f'{lacking}: {way} first')
             counts = Counter(option.name for option in options)
             twice = sorted(name for name, count in counts.items() if count > 1)
@@ -229,12 +229,14 @@ def select_options(
     kind = [option for option in options if option.participant.startswith(MACHINE) == machine]
     people = sorted({option.participant for option in kind})
     if not participant and len(people) > 1:
-        raise PlanError(f'options are of several participants: name one of {", ".join(people)}')
+        raise PlanError(f'options belong to several participants: name one of {", ".join(people)}')
     theirs = [option for option in kind if participant in ('', option.participant)]
     if people and not theirs:
         raise NoOptionsError(no_options_text(participant, people))
     known = [option.name for option in theirs]
     unknown = [repr(name) for name in names if name not in known]
     if known and unknown:
-        raise PlanError(f'no option {", ".join(unknown)}; there is {", ".join(map(repr, known))}')
+        raise PlanError(
+            f'no option {", ".join(unknown)}; choose from {", ".join(map(repr, known))}'
+        )
     return [option for option in theirs if not names or option.name in names]

@@ -34,7 +34,7 @@ def short_page(text: str, language: str = 'en') -> str:
     )
 
 
-NO_TOKEN = short_page('This address is not complete. Open the whole address that you were given.')
+NO_TOKEN = short_page('This address is incomplete. Open the full address that you were given.')
 
 
 class Guard:

@@ -237,7 +237,7 @@ class ListScreen(Screen):
 
         along = [
             Command([keys.LEFT], _('step back'), go(self.at, max(self.step - 1, 0))),
-            Command([keys.RIGHT], _('step on'), go(self.at, min(self.step + 1, last))),
+            Command([keys.RIGHT], _('step forward'), go(self.at, min(self.step + 1, last))),
         ]
         return [
             Command([keys.UP], _('move'), go(self.at - 1), label='↑ ↓'),

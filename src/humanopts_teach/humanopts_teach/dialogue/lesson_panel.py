@@ -199,15 +199,13 @@ def _criteria(progress: OptionSummary) -> Iterator[Block]:
         yield Line(translated(progress.reach), Tone.NEWS)
     if measured := [c for c in progress.criteria if c.value is not None]:
         yield Line(
-            _('Learned by {method}, tested on unseen starts:').format(
-                method=translated(progress.method)
-            ),
+            _('Tested on unseen starts ({method}):').format(method=translated(progress.method)),
             Tone.QUIET,
         )
         yield Criteria([_criterion(criterion) for criterion in measured])
     missing = [translated(c.name) for c in progress.criteria if c.value is None and not c.obstacle]
     if progress.n_demonstrations < MIN_HELD_OUT:
-        words = _('Other criteria are measured from {count} demonstrations on.').format(
+        words = _('Other criteria are measured once there are {count} demonstrations.').format(
             count=MIN_HELD_OUT
         )
         yield Line(words, Tone.QUIET)

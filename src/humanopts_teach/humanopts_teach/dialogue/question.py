@@ -98,7 +98,7 @@ class RunQuestion:
         other = self.lesson.question_compared and self._to(not self.compares, 0)
         return [
             Command([LEFT], _('step back'), self._to(self.compares, max(self.step - 1, 0))),
-            Command([RIGHT], _('step on'), self._to(self.compares, min(self.step + 1, last))),
+            Command([RIGHT], _('step forward'), self._to(self.compares, min(self.step + 1, last))),
             Command(
                 [SPACE],
                 _('stop') if self.plays else _('play'),

@@ -126,7 +126,7 @@ class SegmentsScreen(Screen):
             Command([keys.UP], _('move'), go(self.at - 1), label='↑ ↓'),
             Command([keys.DOWN], _('move down'), go(self.at + 1), label=''),
             Command([keys.LEFT], _('step back'), look(self.step - 1)),
-            Command([keys.RIGHT], _('step on'), look(self.step + 1)),
+            Command([keys.RIGHT], _('step forward'), look(self.step + 1)),
             Command('n', _('name'), self._name, _('name the option that this part shows')),
             Command(
                 'm', _('merge'), None if last else self._merge, _('join it with the next part')

@@ -59,8 +59,8 @@ _EXPLAINED = N_(
     'are done. Say no if it makes no difference. If you are not sure, say yes.'
 )
 _EXPLAINED_GROUP = N_(
-    'Say yes if any of this matters for whether to begin, what to do, or when you are '
-    'done: a question about each then follows. Say no if none of it makes a difference.'
+    'Say yes if you look at any of this to decide whether to begin, what to do, or when you are '
+    'done; a question about each then follows. Say no if none of it makes a difference.'
 )
 _EXPLANATIONS = {
     Phase.DEMONSTRATING: N_(
@@ -560,7 +560,7 @@ class LessonScreen(Screen):
 
         if shown:
             items = [
-                Item(_('Yes'), _('they are changed'), change),
+                Item(_('Yes'), _('they will be changed'), change),
                 Item(_('No'), _('only from now on'), self.again),
             ]
             title = ngettext(

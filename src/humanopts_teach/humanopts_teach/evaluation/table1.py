@@ -83,7 +83,7 @@ def read_merge(path: Path) -> dict[str, str]:
     """
     values = read_yaml(path)
     if not isinstance(values, dict):
-        raise MergeError('it has to map each name to the list of its wordings')
+        raise MergeError('it must map each name to the list of its wordings')
     canonical: dict[str, str] = {}
     for name, wordings in values.items():
         if not _plain(name):
@@ -93,7 +93,7 @@ def read_merge(path: Path) -> dict[str, str]:
         for wording in wordings:
             if not isinstance(wording, str):
                 raise MergeError(
-                    f'a wording of {shown(name)!r} is {shown(json.dumps(wording))}, not a text: '
+                    f'a wording of {shown(name)!r} is {shown(json.dumps(wording))}, not text: '
                     'put it in quotes'
                 )
         for wording in (name, *wordings):

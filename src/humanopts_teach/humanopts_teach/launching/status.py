@@ -62,7 +62,7 @@ class RecorderReport:
         if self.stopped or self.behind:
             return self.text
         if self.missing:
-            return f'{self.missing} messages are missing in the bag'
+            return f'{self.missing} messages are missing from the bag'
         if not self.complete:
             return 'the recorder still lacks some topics'
         little = self.disk_left is not None and self.disk_left < LITTLE_DISK
@@ -127,7 +127,9 @@ class GraphReport:
                 f'{self.game}: episode {self.episode}, step {self.step}, '
                 f'{self.steps_per_second:.1f} steps/s; control: {self.holder or "nobody"}'
             )
-        lines.append('nothing is recorded' if self.recorder is None else self.recorder.to_text())
+        lines.append(
+            'nothing is being recorded' if self.recorder is None else self.recorder.to_text()
+        )
         lines += [f'fault: {fault}' for fault in self.faults] or ['all is well']
         return '\n'.join(map(one_line, lines))
 

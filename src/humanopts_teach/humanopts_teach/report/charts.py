@@ -31,7 +31,7 @@ MAX_MARKERS = 30  # per curve
 LEARNING = {  # title and unit of each chart
     'success': ('Success: reaches an end like a demonstrated one', 'share of starts'),
     'return': ('Return: shortfall', 'share of its range'),
-    'initiation': ('Initiation: held-out error (may it start?)', 'balanced error'),
+    'initiation': ('Initiation: held-out error (can it start?)', 'balanced error'),
     'termination': ('Termination: held-out error (does it end?)', 'share of demonstrations'),
     'accuracy': ('Accuracy against the reference option', 'share of states'),
     'gain': ('Return of the policy minus that shown', 'reward units'),

@@ -109,7 +109,10 @@ def _curves(
     """
     if not curves:
         return ''
-    label = f'{axes["title"]} by {axes["xlabel"]}: {", ".join(curves)}; people are thin lines'
+    label = (
+        f'{axes["title"]} by {axes["xlabel"]}: {", ".join(curves)}; thin lines are individual '
+        'people'
+    )
     with drawing(name, label, *SIZE) as work:
         plot, steps = _axes(work, **axes), 'steps-post' if carried else 'default'
         for color, style, condition in _styles(conditions):
@@ -153,7 +156,7 @@ def outcome_figure(
     """
     values = rows.pivot(index='participant', columns='condition', values=outcome)
     values = values[[name for name in conditions if name in values]]
-    label = f'{title} by condition; people are thin lines'
+    label = f'{title} by condition; thin lines are individual people'
     with drawing(f'outcome-{outcome}', label, *SIZE) as work:
         plot = _axes(work, title=title, ylabel=unit)
         places = np.arange(values.shape[1])

@@ -455,7 +455,7 @@ def _validated(kind: type[M], values: Any) -> M:
     :raises PlanFileError: the values are invalid.
     """
     if not isinstance(values, dict):
-        raise PlanFileError('the file has to map names to values')
+        raise PlanFileError('the file must map names to values')
     try:
         return kind.model_validate_json(json.dumps(values))
     except ValidationError as error:

@@ -590,7 +590,7 @@ class StudyFolder:
         if began.simulated != simulated:
             who = 'a simulated participant' if began.simulated else 'a person'
             raise StudyError(
-                f'{record.code!r} is {who} of this study: use another code, or another '
+                f'{record.code!r} is {who} in this study: use another code, or another '
                 'folder with --study'
             )
 

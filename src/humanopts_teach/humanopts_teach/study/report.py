@@ -168,13 +168,14 @@ def curves_section(results: Results) -> Section | None:
     figures = [
         (
             progress_figure(given, results.analysed('options'), results.conditions),
-            'An option counts from its last demonstration if it was learned in the end. The mean '
-            'is of all who taught; those who showed fewer keep their last value.',
+            'An option counts from its last demonstration if it was learned in the end. The '
+            'mean is over all who taught; those who gave fewer demonstrations keep their '
+            'last value.',
         ),
         (
             pace_figure(given, results.conditions),
-            'From the start state to the verdict. The mean is of those who got that far, at '
-            'least two.',
+            'From the start state to the verdict. The mean is over those who got that far '
+            '(at least two).',
         ),
     ]
     drawn = [each for each in figures if each[0]]
@@ -303,10 +304,10 @@ def paper_section(results: Results) -> Section | None:
     text = (
         'Policy accuracy is the share of states in which an option takes one of the best actions, '
         'and classification accuracy the share of states in which it is right about where the '
-        'option can start and where it ends, by the reference option of the same name. Thin lines '
-        'are people. In the paper, both increase with the number of demonstrations and are '
-        f'acceptable with over {PAPER_DEMONSTRATIONS} in both games; classification does not '
-        'reach 100 %. The paper gives no numbers for its curves.'
+        'option can start and where it ends, by the reference option of the same name. Thin '
+        'lines are individual people. In the paper, both increase with the number of '
+        f'demonstrations and are acceptable with over {PAPER_DEMONSTRATIONS} in both games; '
+        'classification does not reach 100 %. The paper gives no numbers for its curves.'
     )
     return Section(
         'paper',

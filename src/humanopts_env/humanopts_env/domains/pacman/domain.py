@@ -99,7 +99,7 @@ class PacMan(Domain[PacManState]):
         :raises DomainError: another parameter is out of range.
         """
         if not isinstance(maze, str):
-            raise DomainError(f'maze is {maze!r}, but must be a text')
+            raise DomainError(f'maze is {maze!r}, but must be text')
         check_choice('ghosts', ghosts, GHOST_RULES)
         check_choice('features', features, FEATURE_LISTS)
         check_whole('lives', lives, 1, MAX_LIVES)

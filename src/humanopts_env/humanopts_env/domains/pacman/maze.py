@@ -138,7 +138,7 @@ def _check_shape(lines: list[str]) -> None:
                 )
         if len(line) != len(lines[0]):
             raise MazeError(
-                f'line {row} of the maze has {len(line)} characters, and line 1 has '
+                f'line {row} of the maze has {len(line)} characters, but line 1 has '
                 f'{len(lines[0])}: all must be of one length'
             )
     if max(len(lines), len(lines[0])) > MAX_SIDE:

@@ -82,7 +82,8 @@ class PacManOption(JudgedOption):
 OPTIONS: tuple[tuple[str, str, str, int, tuple[str, ...], tuple[str, ...]], ...] = (
     (
         CLOSEST_FOOD,
-        'Starts anywhere; goes a shortest way to a nearest food; ends when food was eaten.',
+        'Starts anywhere; takes a shortest path to the nearest food; ends when food has been '
+        'eaten.',
         'food',
         ATE_FOOD,
         ('food_direction', 'ate'),
@@ -90,8 +91,8 @@ OPTIONS: tuple[tuple[str, str, str, int, tuple[str, ...], tuple[str, ...]], ...]
     ),
     (
         AVOID_GHOST,
-        f'Starts where a dangerous ghost is at most {DANGER} steps away; goes where the nearest '
-        'one is then farthest; ends when none is so near any more.',
+        f'Starts where a dangerous ghost is at most {DANGER} steps away; moves to where the '
+        'nearest one is then farthest away; ends when none is that near any more.',
         'danger',
         0,
         ('danger_direction', 'danger_distance', 'legal_moves'),
@@ -99,8 +100,8 @@ OPTIONS: tuple[tuple[str, str, str, int, tuple[str, ...], tuple[str, ...]], ...]
     ),
     (
         NEAREST_PILL,
-        'Starts where a power pill is left; goes a shortest way to a nearest one; ends when one '
-        'was eaten.',
+        'Starts where a power pill is left; takes a shortest path to the nearest one; ends '
+        'when one has been eaten.',
         'pill',
         ATE_PILL,
         ('pill_direction', 'ate'),
@@ -108,8 +109,8 @@ OPTIONS: tuple[tuple[str, str, str, int, tuple[str, ...], tuple[str, ...]], ...]
     ),
     (
         EAT_GHOST,
-        'Starts where a ghost is scared; goes a shortest way to where a nearest such one is; ends '
-        'when one was eaten, or when none is scared any more.',
+        'Starts where a ghost is scared; takes a shortest path to the nearest scared one; '
+        'ends when one has been eaten, or when none is scared any more.',
         'prey',
         ATE_GHOST,
         ('prey_direction', 'ate'),
@@ -117,8 +118,8 @@ OPTIONS: tuple[tuple[str, str, str, int, tuple[str, ...], tuple[str, ...]], ...]
     ),
     (
         TO_FRUIT,
-        'Starts while there is fruit; goes a shortest way to it; ends when it was eaten, or when '
-        'it is gone.',
+        'Starts while there is fruit; takes a shortest path to it; ends when it has been '
+        'eaten or is gone.',
         'fruit',
         ATE_FRUIT,
         ('fruit_direction', 'ate'),
