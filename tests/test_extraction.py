@@ -169,4 +169,4 @@ def test_who_asks_is_answered_when_the_planner_ends(live: Graph) -> None:
     live.until(lambda: goal.feedback, 'progress')
     live.stop(planner)
     _, result = goal.result()
-    assert (result.status, result.detail) == (result.STATUS_FAILED, 'the planner stops')
+    assert (result.status, result.detail) == (result.STATUS_FAILED, 'the planner is stopping')

@@ -327,7 +327,7 @@ def test_what_becomes_of_the_game_reaches_the_person_and_the_lesson_stays_ready(
     [
         (LESSON, {'strategy': 'guess'}, "'guess' is not one of random"),
         (LESSON, {'budget': 0}, 'budget'),
-        (LESSON, {'participant': 'no code', 'directory': 'DIRECTORY'}, 'not a code'),
+        (LESSON, {'participant': 'no code', 'directory': 'DIRECTORY'}, 'is not a valid code'),
         (TEACHER, {'options': ['fly']}, "no reference option 'fly'"),
         (TEACHER, {'error_rate': 2.0}, 'error_rate'),
         (TEACHER, {'options': ['']}, 'no option'),

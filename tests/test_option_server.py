@@ -386,7 +386,7 @@ def test_an_option_server_that_is_ended_answers_who_waits(
     status, result = goal.result()
     assert status == GoalStatus.STATUS_ABORTED
     assert result.status == OptionResult.STATUS_FAILED
-    assert result.detail == 'it failed: option_server stops'
+    assert result.detail == 'it failed: option_server is stopping'
 
 
 def test_the_sampled_mode_is_a_function_of_the_seed_and_the_moment(
@@ -448,5 +448,5 @@ def test_a_process_runs_rejects_preempts_cancels_and_ends_what_is_under_way(
     result = request.result().result
     assert (result.status, result.detail) == (
         OptionResult.STATUS_FAILED,
-        'it failed: option_server stops',
+        'it failed: option_server is stopping',
     )

@@ -120,7 +120,7 @@ def test_what_cannot_be_planned_is_refused_in_words(planning: Planning) -> None:
         bad, "unknown action set 'robot'; choose from human, primitive, human+primitive", 'robot'
     )
     refused(bad, 'gamma is nan', gamma=math.nan)
-    refused(bad, f"no option 'fly'; there is {FETCH!r}", options=[FETCH, 'fly'])
+    refused(bad, f"no option 'fly'; choose from {FETCH!r}", options=[FETCH, 'fly'])
     refused(bad, 'learned_options 10000 did not arrive', options_sequence=10_000)
     planning.teach([*OPTIONS, *taught('p2')])
     refused(bad, 'name one of p1, p2')
@@ -282,4 +282,4 @@ def test_planning_says_how_far_it_is_is_canceled_at_once_and_ends_with_the_node(
     live.stop(live.node_called('/planner'))
     status, result = goal.result()
     assert (status, result.status) == (GoalStatus.STATUS_ABORTED, PlanResult.STATUS_FAILED)
-    assert result.detail == 'the planner stops'
+    assert result.detail == 'the planner is stopping'

@@ -149,7 +149,10 @@ def test_the_same_runs_are_read_from_the_recording(graph: Graph, tmp_path: Path)
         ({'learning': 'q', 'execution': 'interrupted'}, 'learning needs the execution run_to_end'),
         ({'explore': 2.0}, 'explore is 2.0, not from 0 to 1'),
         ({'learning': 'q', 'columns': ['power']}, "column 'power':"),
-        ({'learning': 'q', 'options': ['fly']}, "no option 'fly'; there is 'deliver', 'charge'"),
+        (
+            {'learning': 'q', 'options': ['fly']},
+            "no option 'fly'; choose from 'deliver', 'charge'",
+        ),
     ],
 )
 def test_a_bad_goal_is_refused(graph: Graph, fields: dict[str, Any], detail: str) -> None:

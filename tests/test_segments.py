@@ -134,7 +134,7 @@ def test_neighbours_with_the_same_name_are_one_demonstration() -> None:
     shown = fetched.demonstration(name, ['taxi_row'])
     assert shown.states == one.states[: fetched.last + 1]
     assert (len(shown.actions), shown.terminated) == (fetched.last, False)
-    with pytest.raises(DomainError, match='taxi has no feature colour; there is taxi_row'):
+    with pytest.raises(DomainError, match='taxi has no feature colour; choose from taxi_row'):
         cut(domain, one, ['colour'])
 
 
@@ -206,7 +206,7 @@ def test_plays_in_a_table_become_demonstrations_of_a_lesson(
         (['--name', '1=a'], 'to keep segments, give both --name and --out'),
         (['--out', 'x', '--name', '9=a'], "--name '9=a': there is no kind 9, only 1 to 3"),
         (['--out', 'x', '--name', 'a'], "--name 'a' is not of the form 1=OPTION"),
-        (['--event', 'colour'], 'has no feature colour; there is '),
+        (['--event', 'colour'], 'has no feature colour; choose from '),
     ],
 )
 def test_names_that_fit_no_segment_are_refused(

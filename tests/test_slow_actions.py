@@ -149,7 +149,7 @@ def test_a_cancel_that_the_world_does_not_answer_ends_the_run_all_the_same(robot
         status, result = goal.result()
     assert (status, result.status) == (GoalStatus.STATUS_CANCELED, OptionResult.STATUS_CANCELED)
     assert (result.step_count, robot.world.stops) == (0, stops + 1)
-    assert result.detail == 'it was canceled: the game did not answer the stop'
+    assert result.detail == 'it was canceled: the game did not respond to the stop'
 
 
 def test_an_action_without_duration_is_not_stopped(robot: Robot) -> None:
@@ -291,5 +291,5 @@ def test_an_option_server_that_is_ended_stops_the_robot_and_answers(robot: Robot
     robot.graph.stop(robot.graph.node_called('/option_server'))
     _, result = goal.result()
     assert result.status == OptionResult.STATUS_FAILED
-    assert result.detail == 'it failed: option_server stops'
+    assert result.detail == 'it failed: option_server is stopping'
     assert (robot.world.acting, robot.world.stops) == (None, stops + 1)

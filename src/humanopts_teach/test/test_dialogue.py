@@ -484,7 +484,7 @@ def test_a_run_is_played_until_the_question_about_it_is_answered(examined: Desk)
     assert examined.press('enter', 'right', 'right', 'right').app.screen.state == RUN[2]
     assert examined.advance(5.0).press('left').app.screen.state == RUN[1]
     assert examined.asked == []
-    assert 'play the run again and again' in examined.press('?').see()
+    assert 'replay the run continuously' in examined.press('?').see()
     assert examined.press('x', 'y').asked == [AnswerQuestion(7, yes=True)]
 
 

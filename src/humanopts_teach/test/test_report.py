@@ -281,7 +281,7 @@ def test_what_options_lose_is_that_within_episodes(
 
 def test_rules_say_when_an_option_starts_and_ends(taxi: Domain, evaluation: BagEvaluation) -> None:
     initiation, termination, policy = option_rules(evaluation.options[0].option, taxi)
-    assert 'passenger in taxi is yes: may not start' in initiation.text
+    assert 'passenger in taxi is yes: cannot start' in initiation.text
     assert 'passenger in taxi is no: goes on' in termination.text
     assert termination.depth == 1
     assert termination.leaves == 2

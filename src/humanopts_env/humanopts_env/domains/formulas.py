@@ -206,7 +206,7 @@ _FUNCTIONS = {
     'max': _Function(np.maximum, 'the larger of {} and {}', _common, 2),
     'clip': _Function(
         lambda a, low, high: np.minimum(np.maximum(a, low), high),
-        '{} limited to {} to {}',
+        '{} limited to the range {} to {}',
         _common,
         3,
     ),

@@ -158,7 +158,7 @@ class GoalServer(ABC):
         except PlanCanceled:
             status, result.detail = 'CANCELED', 'canceled by the client'
             if self._state.stopping:
-                status, result.detail = 'FAILED', 'the planner stops'
+                status, result.detail = 'FAILED', 'the planner is stopping'
         except Exception as error:  # such as insufficient memory for the tables
             status, result.detail = 'FAILED', repr(error)
         if status:

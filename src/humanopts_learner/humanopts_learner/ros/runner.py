@@ -44,7 +44,7 @@ from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, LATCHED
 
-_STOPS = 'option_server stops'
+_STOPS = 'option_server is stopping'
 _FAREWELL = 0.3  # s to wait on shutdown for the end of a stopped action
 _CHECK_PERIOD = 0.1  # s between checks for command timeouts
 _INTERRUPTED = (
@@ -563,7 +563,7 @@ class Runner:
             self._finish(*ending or cut)
         elif ending is not None and active.stopped:
             status, detail = ending
-            text = 'the game did not answer the stop'
+            text = 'the game did not respond to the stop'
             self._finish(status, f'{detail}; {text}' if detail else text)
         elif not self._control.paused_by:
             self._stop_action(active)

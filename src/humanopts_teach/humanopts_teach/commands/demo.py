@@ -194,7 +194,7 @@ def _problems(
     found += differences(live, evaluation)
     unfinished = live.execution.episodes - live.execution.successes
     if unfinished and is_enumerable(evaluation.domain):
-        found.append(f'{unfinished} episodes ended with the task not done')
+        found.append(f'{unfinished} episodes ended before the task was done')
     return found
 
 

@@ -367,7 +367,7 @@ def _ask_columns(then: Do, app: App) -> None:
         bins = (
             _('in {count} bins').format(count=count)
             if count > 2
-            else _('below and from {numbers}').format(numbers=numbers)
+            else _('split at {numbers}').format(numbers=numbers)
         )
         text = (
             _('On {name}, {bins}').format(name=name, bins=bins)

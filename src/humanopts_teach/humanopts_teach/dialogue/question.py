@@ -103,7 +103,7 @@ class RunQuestion:
                 [SPACE],
                 _('stop') if self.plays else _('play'),
                 self._play,
-                _('play the run again and again, or stop at a state'),
+                _('replay the run continuously, or stop at a state'),
             ),
             Command([UP], _('machine or you'), other or None, label='↑ ↓'),
             Command([DOWN], _('you or machine'), other or None, label=''),

@@ -9,7 +9,7 @@ from humanopts_env.domains.formulas import feature_columns, plain_name
 from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree
 from humanopts_learner.options.learned_option import LearnedOption
 
-MEMBERS = {'initiation': ('may not start', 'may start'), 'termination': ('goes on', 'ends')}
+MEMBERS = {'initiation': ('cannot start', 'can start'), 'termination': ('goes on', 'ends')}
 LINES_SHOWN_OPEN = 60
 
 
