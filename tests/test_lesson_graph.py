@@ -565,7 +565,7 @@ def test_the_program_of_the_documentation_teaches_and_what_is_refused_is_raised_
     program, output = re.findall(r'```(?:python|text)\n(.*?)```', section, re.DOTALL)
     assert 'the exam' in output
     status, said, errors = run(lesson, BEFORE + program + AFTER)
-    assert said.endswith(output)
+    assert said.endswith(output), errors
     first, second, third = said.removesuffix(output).splitlines()
     assert first == 'WRONG_PHASE lesson/begin_demonstration was refused: Open a session to begin.'
     assert second.startswith('action fly was refused: ')
