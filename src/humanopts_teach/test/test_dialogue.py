@@ -274,8 +274,8 @@ PROGRESS: dict[str, dict[str, Any]] = {
     },
     'with limits': {
         'criteria': (
-            Criterion.of('success', 0.98, 0.95, 0.94, count=300),
-            Criterion.of('return', -0.02, 0.1, 0.04),
+            Criterion.of('success', 0.98, 0.95, 0.9479, count=300),
+            Criterion.of('return', -0.02, 0.1, 0.0312),
             Criterion.of('termination', 0.3, 0.05),
         ),
         'evidence': SAMPLED_STARTS,

@@ -26,6 +26,7 @@ from humanopts_teach.dialogue.panel import (
 )
 from humanopts_teach.language import _, N_, Number, translated
 from humanopts_teach.lesson.requests import LessonView, Phase
+import numpy as np
 
 ADVICE = 2  # maximum number of lines of advice on features
 _EXAM = N_(
@@ -225,16 +226,17 @@ def _criteria(progress: OptionSummary) -> Iterator[Block]:
 
 def _criterion(criterion: Criterion) -> CriterionRow:
     value, threshold = criterion.value or 0.0, criterion.threshold or 0.0
-    side, limit, needs = _('wrong'), _('at most'), '≤'
+    side, limit, needs, whole = _('wrong'), _('at most'), '≤', np.ceil
     error, most = value, threshold
     if criterion.at_least:
-        side, limit, needs = _('of {count}').format(count=criterion.count), _('at least'), '≥'
+        side, limit = _('of {count}').format(count=criterion.count), _('at least')
+        needs, whole = '≥', np.floor
         error, most = 1 - value, 1 - threshold
     elif criterion.name == RETURN:
         side = _('better') if value < 0 else _('worse')
     now = f'{_percent(abs(value))} {side}'
     if criterion.limit not in (None, value):
-        now = f'{now}, {limit} {_percent(criterion.limit)}'
+        now = f'{now}, {limit} {whole(round(100 * criterion.limit, 6)) + 0.0:.0f} %'
     full = TARGET * error / most if most > 0 else float(error > most)
     return CriterionRow(
         '✓' if criterion.met else '?' if criterion.undecided else '·',
