@@ -62,6 +62,16 @@ def every_command(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], A
             yield from every_command(inner, *path, name)
 
 
+@pytest.mark.parametrize('name', OUTSIDE)
+def test_a_command_of_the_repository_says_so_elsewhere(name: str, tmp_path: Path) -> None:
+    without = {key: value for key, value in os.environ.items() if key != 'PYTHONPATH'}
+    command = [sys.executable, '-m', 'humanopts_teach', name, '--quick']
+    done = subprocess.run(command, cwd=tmp_path, env=without, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, '')
+    needs = f'{name} needs a clone of the repository: run ./humanopts {name} there'
+    assert done.stderr == f'humanopts: {needs}; see humanopts --help\n'
+
+
 def test_every_command_has_help_and_every_option_is_on_the_page_of_commands(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -392,6 +392,13 @@ def test_a_mistake_is_one_line_with_file_and_key(case: str) -> None:
     assert '\n' not in said
 
 
+def test_a_key_that_is_misspelled_is_named_and_not_only_what_is_missing() -> None:
+    values = yaml.safe_load(TEXT)
+    values['actoins'] = values.pop('actions')
+    with pytest.raises(WorldFileError, match=r'^scout.yaml: actoins: unknown key; use name, '):
+        checked_world(values, 'scout.yaml')
+
+
 def test_files_that_are_missing_or_no_yaml_are_refused(tmp_path: Path) -> None:
     with pytest.raises(WorldFileError, match=r'cannot read .*rover.yaml: No such file'):
         load_world(f'ros:{tmp_path}/rover.yaml')

@@ -187,9 +187,18 @@ def fault_in(error: 'ValidationError', known: Iterable[str] = ()) -> str:
     """
     Describe the first validation error of a file in one line.
 
+    A missing key may be misspelled, so an unknown key beside it is the error described.
+
     :param known: keys allowed in the file.
     """
-    first = error.errors(include_url=False)[0]
+    first, *others = error.errors(include_url=False)
+    if first['type'] == 'missing':
+        unknown = (
+            each
+            for each in others
+            if each['type'] == 'extra_forbidden' and each['loc'][:-1] == first['loc'][:-1]
+        )
+        first = next(unknown, first)
     place = ' '.join(str(each + 1 if isinstance(each, int) else each) for each in first['loc'])
     why = re.sub('^Value error, ', '', first['msg']).replace('Input should', 'it should')
     given = first['input']

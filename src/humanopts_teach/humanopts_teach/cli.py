@@ -80,6 +80,12 @@ class Commands(CommandGroup):
             if find_spec(module.partition('.')[0]):
                 self.add_command(OutsideCommand(name, help=text))
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command named by the first word."""
+        if args[0] in OUTSIDE.keys() - self.commands:
+            ctx.fail(f'{args[0]} needs a clone of the repository: run ./humanopts {args[0]} there')
+        return super().resolve_command(ctx, args)
+
 
 app = typer.Typer(
     **{**PLAIN, 'add_completion': True},

@@ -419,6 +419,17 @@ def test_a_repeated_action_stops_at_the_end_of_the_episode(tmp_path: Path) -> No
     assert 'The task is over.' in desk.see()
 
 
+def test_a_list_of_demonstrations_shows_no_feature_that_is_hidden(tmp_path: Path) -> None:
+    desk = begin(tmp_path, 'taxi', *CHOSEN).press('left', 'p', 'enter', 'l')
+    for _ in range(2):  # all demonstrations, then a single one
+        assert isinstance(desk.app.screen, ListScreen)
+        assert desk.app.screen.state == AT_R
+        board = view(desk.app).board
+        assert board is not None
+        assert 'destination' not in [mark.name for mark in board.marks]
+        desk.press('enter')
+
+
 def test_a_step_of_a_world_that_is_replayed_is_undone(tmp_path: Path) -> None:
     desk = Desk(Orchard(), tmp_path).teach('fetch', ['basket'], '').press('right')
     before = desk.world.game.state

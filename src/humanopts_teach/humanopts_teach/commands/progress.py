@@ -96,8 +96,8 @@ class DemoProgress:
 
 def _progress(option: OptionSummary) -> str:
     measured = [
-        f'{c.name} {c.value:.3g} (target {c.threshold:.3g}{", " * c.undecided}'
-        f'{c.verdict * c.undecided})'
+        f'{c.name} {c.value:.3g} ({"≥" if c.at_least else "≤"} {c.threshold:.3g}'
+        f'{f", {c.verdict}" if c.undecided else ""})'
         for c in option.criteria
         if c.value is not None and c.threshold is not None
     ]

@@ -192,6 +192,7 @@ class ListScreen(Screen):
     back: Do | None = None
     at: int = 0
     step: int = 0  # index into the states of the selected item
+    hides_features: bool = False
 
     @property
     def state(self) -> str:

@@ -77,6 +77,8 @@ _EXPLANATIONS = {
     ),
 }
 _PAUSES = {Phase.READY, Phase.CHECKING, Phase.EXAM, Phase.FINISHED}  # the person decides
+# A list in a lesson: the board shows only features that the option depends on.
+_LessonList = partial(ListScreen, hides_features=True)
 
 
 @dataclass
@@ -490,7 +492,7 @@ class LessonScreen(Screen):
             'The machine took the first {count} steps. Are they part of the demonstration?',
             steps,
         )
-        app.show(ListScreen(title.format(count=steps), items, self.again))
+        app.show(_LessonList(title.format(count=steps), items, self.again))
 
     def _verdict(self, verdict: Verdict, app: App, *, counts: bool = False) -> None:
         game, again = app.world.game, _can_start_again(app) and verdict is Verdict.DONE
@@ -516,7 +518,7 @@ class LessonScreen(Screen):
             title = _('You showed something else before. {contradiction}.').format(
                 contradiction=translated(answer.contradiction)
             )
-            app.show(ListScreen(title, items))
+            app.show(_LessonList(title, items))
 
     def _discard(self, app: App) -> None:
         """Discard the current demonstration, if there is one."""
@@ -568,7 +570,7 @@ class LessonScreen(Screen):
                 'Could it also start again where your {count} earlier demonstrations ended?',
                 len(shown),
             )
-            app.show(ListScreen(title.format(count=len(shown)), items))
+            app.show(_LessonList(title.format(count=len(shown)), items))
 
     def _watch_new(self, app: App) -> None:
         """Watch the option from a random start; without rules, from the current state."""
@@ -602,7 +604,7 @@ class LessonScreen(Screen):
             Item(*_in_words(demo), partial(self._show_one, demo, back), demo.states)
             for demo in reversed(shown)
         ]
-        app.show(ListScreen(_('Demonstrations, newest first'), items, self.again))
+        app.show(_LessonList(_('Demonstrations, newest first'), items, self.again))
 
     def _show_one(self, demo: Demonstration, back: Do, app: App) -> None:
         watch, states = partial(self._watch, demo.states[0]), demo.states
@@ -612,7 +614,7 @@ class LessonScreen(Screen):
             if demo.kind is Kind.JUDGED:
                 note = _('this verdict no longer counts')
             items.append(Item(_('Delete it'), note, partial(self._delete, demo.uuid), states))
-        app.show(ListScreen(' '.join(_in_words(demo)), items, back))
+        app.show(_LessonList(' '.join(_in_words(demo)), items, back))
 
     def _delete(self, uuid: str, app: App) -> None:
         """Return to the lesson, and withdraw a demonstration when possible (empty uuid: none)."""

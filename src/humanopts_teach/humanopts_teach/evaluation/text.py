@@ -5,7 +5,13 @@ from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.options.judge import likely_range, Thresholds
-from humanopts_learner.summary import Criterion, OptionSummary, TERMINATION
+from humanopts_learner.summary import (
+    AGREEMENT,
+    Criterion,
+    IMITATION,
+    OptionSummary,
+    TERMINATION,
+)
 from humanopts_ros.limits import one_line
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import gains
@@ -24,6 +30,8 @@ CURVE = {  # printed columns of a learning curve
     'shown': 'n_demonstrations',
     'not here': 'n_not_here',
     'success': 'success',
+    'agreement': 'agreement',
+    'imitation': 'imitation',
     'return': 'return',
     'initiation': 'initiation',
     'termination': 'termination',
@@ -109,8 +117,9 @@ def share(value: float) -> str:
 def _option(option: OptionEvaluation) -> list[str]:
     learned, summary, learning = option.option, option.summary, option.learning
     shown = sorted({round(i * (len(learning) - 1) / (MAX_POINTS - 1)) for i in range(MAX_POINTS)})
+    unused = {name for name in (AGREEMENT, IMITATION) if learning[name].isna().all()}
     rows = [
-        {head: _cell(column, row) for head, column in CURVE.items()}
+        {head: _cell(column, row) for head, column in CURVE.items() if column not in unused}
         for _, row in learning.iloc[shown].iterrows()
     ]
     lines = [

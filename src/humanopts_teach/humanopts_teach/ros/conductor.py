@@ -402,7 +402,7 @@ class Conductor(NodeBase):
         if found and self.starting:
             raise OccupiedError(
                 f'{", ".join(found)} already runs in this ROS_DOMAIN_ID and namespace; stop it, '
-                'or choose another --namespace or ROS_DOMAIN_ID'
+                'or choose another --namespace, such as /second, or another ROS_DOMAIN_ID'
             )
         self._reported.update(found)
         for name in found:
