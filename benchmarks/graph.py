@@ -160,13 +160,13 @@ def bench_run(benchmark: Any, game: Game, via: str, length: int) -> None:
             return client.ask(handle.get_result_async(), 'the result').result.result
 
         short: list[float] = []
-        bare: list[float] = []
+        steps: list[float] = []
 
         def begin() -> None:
             if length == LONG:
                 game.begin(SHORT)
                 short.append(_seconds(run))
-                bare.extend(_seconds(partial(game.step, 'bare/')) for _ in range(LONG - SHORT))
+                steps.extend(_seconds(partial(game.step, 'bare/')) for _ in range(LONG - SHORT))
             game.begin(length or SHORT)
 
         result = benchmark.pedantic(run, setup=begin, rounds=ROUNDS, warmup_rounds=WARM_UP)
@@ -174,10 +174,10 @@ def bench_run(benchmark: Any, game: Game, via: str, length: int) -> None:
     assert length in (result.step_count, 0), result.detail
     if length == LONG and benchmark.stats is not None:  # None: nothing is measured
         whole = benchmark.stats.stats.data
-        del short[:WARM_UP], bare[: WARM_UP * (LONG - SHORT)]
+        del short[:WARM_UP], steps[: WARM_UP * (LONG - SHORT)]
         # Not by minima: that of a long run is far from the sum of the minima of its steps.
         step = (median(whole) - median(short)) / (LONG - SHORT)
-        benchmark.extra_info['a step in bare steps'] = round(step / median(bare), 2)
+        benchmark.extra_info['a step in bare steps'] = round(step / median(steps), 2)
 
 
 def _seconds(act: Callable[[], object]) -> float:

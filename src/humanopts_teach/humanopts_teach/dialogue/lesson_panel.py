@@ -226,17 +226,18 @@ def _criteria(progress: OptionSummary) -> Iterator[Block]:
 
 def _criterion(criterion: Criterion) -> CriterionRow:
     value, threshold = criterion.value or 0.0, criterion.threshold or 0.0
-    side, limit, needs, whole = _('wrong'), _('at most'), '≤', np.ceil
+    side, limit, needs = _('wrong'), _('at most'), '≤'
     error, most = value, threshold
     if criterion.at_least:
-        side, limit = _('of {count}').format(count=criterion.count), _('at least')
-        needs, whole = '≥', np.floor
+        side, limit, needs = _('of {count}').format(count=criterion.count), _('at least'), '≥'
         error, most = 1 - value, 1 - threshold
     elif criterion.name == RETURN:
         side = _('better') if value < 0 else _('worse')
     now = f'{_percent(abs(value))} {side}'
     if criterion.limit not in (None, value):
-        now = f'{now}, {limit} {whole(round(100 * criterion.limit, 6)) + 0.0:.0f} %'
+        percent = round(100 * criterion.limit, 6)
+        whole = np.floor(percent) if criterion.at_least else np.ceil(percent)
+        now = f'{now}, {limit} {whole + 0.0:.0f} %'
     full = TARGET * error / most if most > 0 else float(error > most)
     return CriterionRow(
         '✓' if criterion.met else '?' if criterion.undecided else '·',
